@@ -1,0 +1,57 @@
+"""Exceptions: one base class, and one class per kind of wrong input.
+
+A message is one sentence holding the name, the value given and what is allowed. The command-line
+scripts print it on one line and exit with status 2.
+"""
+
+from collections.abc import Iterable
+
+
+class LPVMPCError(Exception):
+    """Base class of every error that lpvmpc raises on purpose."""
+
+
+class OptionError(LPVMPCError, ValueError):
+    """An option or parameter lies outside its allowed domain."""
+
+    def __init__(self, name: str, value: object, allowed: str) -> None:
+        """Args: name of the option, the value given, and the allowed domain in words."""
+        super().__init__(f"{name} is {value!r}, but must be {allowed}.")
+        self.name, self.value, self.allowed = name, value, allowed
+
+
+class UnknownNameError(LPVMPCError, KeyError):
+    """A scenario, controller or model name does not exist."""
+
+    def __init__(self, kind: str, name: str, choices: Iterable[str]) -> None:
+        """Args: kind of thing asked for, the name given, and the existing names."""
+        self.kind, self.name, self.choices = kind, name, sorted(choices)
+        self.message = f"Unknown {kind} {name!r}; the choices are {', '.join(self.choices)}."
+        super().__init__(self.message)
+
+    def __str__(self) -> str:  # KeyError would print the repr
+        return self.message
+
+
+class PathError(LPVMPCError, ValueError):
+    """A path or track file cannot be driven or read."""
+
+
+class ModelError(LPVMPCError, ValueError):
+    """An MJCF file is broken or is not our vehicle."""
+
+
+class DataError(LPVMPCError, ValueError):
+    """A data or weights file is missing, damaged or of another version."""
+
+
+class ControllerError(LPVMPCError, RuntimeError):
+    """A controller does not import, raises, hangs or returns something that is no command."""
+
+
+class RenderError(LPVMPCError, RuntimeError):
+    """Pictures cannot be made on this machine."""
+
+
+class OutputError(LPVMPCError, OSError):
+    """A result cannot be written where it was asked for."""
