@@ -1,0 +1,50 @@
+# make track  drive the paper's road: table, metrics, figures and video
+# make test   run the tests
+# make lint   ruff and mypy
+# make clean  remove the environment and what the tools left behind
+#
+# Each target makes .venv and installs the versions of constraints.txt first. The stamps depend on
+# the project file and the constraints, so an edit there installs again.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet --constraint constraints.txt
+export MUJOCO_GL ?= egl
+
+.DELETE_ON_ERROR:
+.PHONY: track test lint clean egl
+
+track: $(VENV)/.run egl
+	$(BIN)/python eval/track.py --scenario paper --render $(ARGS)
+
+test: $(VENV)/.dev egl
+	$(BIN)/python -m pytest -n 2 $(ARGS)
+
+lint: $(VENV)/.dev
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "lpvmpc needs Python 3.11 or newer, but $(PYTHON) is $$($(PYTHON) --version 2>&1);" \
+	         "name another one with: make PYTHON=python3.12 $(MAKECMDGOALS)" >&2; exit 2; }
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.run: pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP) --editable .
+	@touch $@
+
+$(VENV)/.dev: pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP) --editable ".[dev]"
+	@touch $@ $(VENV)/.run
+
+# Pictures need an OpenGL that works without a display. Only a warning: all else works without it.
+egl:
+	@if [ "$$MUJOCO_GL" = egl ]; then $(BIN)/python -c \
+	  'import ctypes.util, sys; sys.exit(not ctypes.util.find_library("EGL"))' || \
+	  echo "No EGL here, so no video: install it with: apt-get install libegl1 libgl1-mesa-dri" >&2; fi
+
+clean:
+	rm -rf $(VENV) build dist .pytest_cache .ruff_cache .mypy_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,87 @@
+"""Vehicle controllers on a MuJoCo car with Pacejka tires.
+
+The public names below are imported when first used, so that `import lpvmpc` stays fast:
+
+    from lpvmpc import LPVMPC, Plant, load_scenario, metrics, simulate
+    log = simulate(Plant(), LPVMPC(), load_scenario("paper"))
+    metrics(log)["lateral_rmse_m"]
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from lpvmpc import _cache
+
+# Eager, because the function and its module share one name: importing lpvmpc.metrics later would
+# otherwise put the module in the function's place.
+from lpvmpc.metrics import metrics
+
+if TYPE_CHECKING:
+    from lpvmpc.controllers import CONTROLLERS, load_controller
+    from lpvmpc.errors import LPVMPCError
+    from lpvmpc.mpc import LPVMPC
+    from lpvmpc.path import Path, Preview, SpeedProfile
+    from lpvmpc.plant import Plant
+    from lpvmpc.scenario import SCENARIOS, Scenario, load_scenario
+    from lpvmpc.simulation import Log, simulate
+    from lpvmpc.vehicle import Command, State, VehicleParams
+    from lpvmpc.wind import Wind
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "CONTROLLERS": "controllers",
+    "Command": "vehicle",
+    "LPVMPC": "mpc",
+    "LPVMPCError": "errors",
+    "Log": "simulation",
+    "Path": "path",
+    "Plant": "plant",
+    "Preview": "path",
+    "SCENARIOS": "scenario",
+    "Scenario": "scenario",
+    "SpeedProfile": "path",
+    "State": "vehicle",
+    "VehicleParams": "vehicle",
+    "Wind": "wind",
+    "load_controller": "controllers",
+    "load_scenario": "scenario",
+    "simulate": "simulation",
+}
+
+__all__ = [
+    "CONTROLLERS",
+    "LPVMPC",
+    "SCENARIOS",
+    "Command",
+    "LPVMPCError",
+    "Log",
+    "Path",
+    "Plant",
+    "Preview",
+    "Scenario",
+    "SpeedProfile",
+    "State",
+    "VehicleParams",
+    "Wind",
+    "__version__",
+    "load_controller",
+    "load_scenario",
+    "metrics",
+    "simulate",
+]
+
+_cache.place_numba_cache()
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name from its module at first use."""
+    if name not in _HOME:
+        raise AttributeError(f"module 'lpvmpc' has no attribute {name!r}")
+    value = getattr(import_module(f"lpvmpc.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_HOME])
