@@ -1,0 +1,416 @@
+"""The reference path: arc length, heading, curvature, projection and preview.
+
+The curvature is piecewise linear on a uniform fine grid, so the path is a chain of short clothoids;
+heading and position are its integrals, exact to rounding. Whatever a path was made of (curvature
+knots, segments, points), the controller sees a continuous curvature that agrees with the position.
+
+On a closed path the arc length counts up lap after lap and the heading keeps turning, so nothing
+jumps at the start line. An open path goes on beyond both ends with the curvature it has there, so
+a preview never runs out.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from lpvmpc.errors import PathError
+
+if TYPE_CHECKING:
+    from lpvmpc.speed_profile import SpeedProfile
+
+Array = npt.NDArray[np.float64]
+
+GRID = 0.2
+"""Default spacing of the fine grid [m]; a whole number of cells always fits the length."""
+
+MAX_POINTS = 2_000_000
+"""More grid points than this is a mistake in units (400 km at the default spacing)."""
+
+# Three-point Gauss-Legendre on [0, 1]. Over one cell the heading turns by at most 0.05 rad, so the
+# quadrature error is about 1e-16 m: position is exact to rounding.
+_C1, _C2, _C3 = 0.5 - math.sqrt(0.15), 0.5, 0.5 + math.sqrt(0.15)
+_W1, _W2 = 5.0 / 18.0, 4.0 / 9.0
+
+
+class Preview(NamedTuple):
+    """The reference seen from the car: where it is now, and what comes along the horizon.
+
+    Arrays have shape (Np + 1,) and hold the times 0, Ts, ..., Np Ts of a point that starts at the
+    projection of the car and moves along the path at the reference speed.
+    """
+
+    s: float
+    """Arc length of the projection [m]; counts up without wrapping on closed paths."""
+    ey: float
+    """Lateral error of the car, left positive [m]."""
+    epsi: float
+    """Heading error of the car, wrapped to (-pi, pi] [rad]."""
+    kappa: Array
+    """Curvature [1/m]."""
+    vx_ref: Array
+    """Reference speed [m/s]."""
+    x: Array
+    """Position of the moving point [m]."""
+    y: Array
+    """Position of the moving point [m]."""
+    psi: Array
+    """Heading of the path [rad], continuous along the horizon and from lap to lap."""
+
+
+class Path:
+    """A planar curve of piecewise-linear curvature.
+
+    Attributes:
+        s: Arc length of the grid points [m], shape (n + 1,), uniform from 0 to `length`.
+        x: Position [m], shape (n + 1,).
+        y: Position [m], shape (n + 1,).
+        psi: Heading [rad], shape (n + 1,), unwrapped.
+        kappa: Curvature [1/m], left positive, shape (n + 1,).
+        length: Arc length of the path, or of one lap [m].
+        closed: Whether the end is the start.
+        spacing: Distance of the grid points along the path [m].
+        turn: Change of heading over the whole path [rad]; a multiple of 2 pi on closed paths.
+        width_right: Distance from the path to the right road edge [m], shape (n + 1,).
+        width_left: The same to the left [m].
+        largest_shift: How far smoothing moved a point it was made from [m]; 0 without smoothing.
+    """
+
+    def __init__(
+        self,
+        kappa: npt.ArrayLike,
+        length: float,
+        *,
+        x0: float = 0.0,
+        y0: float = 0.0,
+        psi0: float = 0.0,
+        closed: bool = False,
+        width: float | tuple[npt.ArrayLike, npt.ArrayLike] = 3.5,
+        largest_shift: float = 0.0,
+    ) -> None:
+        """Integrate the curvature given on a uniform grid.
+
+        On a closed path the curvature is first corrected by the smallest amount (in the mean
+        square) that makes the ends meet exactly; `Path.closure_correction` tells how much.
+
+        Args:
+            kappa: Curvature at uniformly spaced points [1/m], shape (n + 1,).
+            length: Arc length of the whole path [m].
+            x0: Start [m].
+            y0: Start [m].
+            psi0: Start heading [rad].
+            closed: Whether the path ends where and how it starts.
+            width: Half width of the road [m], or the widths (right, left) on the grid.
+            largest_shift: See the class.
+
+        Raises:
+            PathError: Not finite, no length, or closed with ends that do not meet.
+        """
+        kappa = np.array(kappa, dtype=float)
+        if kappa.ndim != 1 or len(kappa) < 2 or not np.all(np.isfinite(kappa)):
+            raise PathError("The curvature of a path must be at least two finite numbers.")
+        if not (math.isfinite(length) and length > 0.0):
+            raise PathError(f"The length of a path is {length!r} m, but must be positive.")
+        n = len(kappa) - 1
+        self.closed = bool(closed)
+        self.length = float(length)
+        self.spacing = self.length / n
+        self.closure_correction = 0.0
+        if closed:
+            kappa, psi0 = self._close(kappa, psi0)
+        psi, x, y = _integrate(kappa, self.spacing, x0, y0, psi0)
+        self.s = np.linspace(0.0, self.length, n + 1)
+        # One contiguous table, so that a compiled call has one array to unpack.
+        self._table = np.ascontiguousarray(np.column_stack([x, y, psi, kappa]))
+        self._table.flags.writeable = False
+        self.x, self.y, self.psi, self.kappa = self._table.T
+        self.turn = float(psi[-1] - psi[0])
+        right, left = width if isinstance(width, tuple) else (width, width)
+        self.width_right = np.broadcast_to(np.asarray(right, dtype=float), (n + 1,))
+        self.width_left = np.broadcast_to(np.asarray(left, dtype=float), (n + 1,))
+        self.largest_shift = float(largest_shift)
+
+    def _close(self, kappa: Array, psi0: float) -> tuple[Array, float]:
+        """Correct the curvature so that position and heading close.
+
+        To first order a change dk(s) moves the end by the integrals of dk (heading), -(y_end - y)
+        dk and (x_end - x) dk (position), so the smallest change is a combination of 1, x(s) and
+        y(s). Newton's method on the three factors.
+        """
+        n, h = len(kappa) - 1, self.spacing
+        kappa = kappa.copy()
+        jump = abs(kappa[-1] - kappa[0])
+        kappa[0] = kappa[-1] = 0.5 * (kappa[0] + kappa[-1])
+        before = kappa.copy()
+        psi, x, y = _integrate(kappa, h, 0.0, 0.0, psi0)
+        turn = 2.0 * math.pi * round((psi[-1] - psi[0]) / (2.0 * math.pi))
+        gap = math.hypot(x[-1], y[-1])
+        if gap > 0.05 * self.length or abs(psi[-1] - psi[0] - turn) > 0.5 or jump > 0.05:
+            raise PathError(
+                f"A closed path must end where and how it starts, but its ends are {gap:.3g} m "
+                f"and {math.degrees(psi[-1] - psi[0] - turn):.3g} degrees apart."
+            )
+        basis = np.column_stack([np.ones(n + 1), x - x.mean(), y - y.mean()])
+        scale = np.abs(basis).max(axis=0)
+        basis /= np.where(scale > 0.0, scale, 1.0)
+        basis[-1] = basis[0] = 0.5 * (basis[0] + basis[-1])
+        for _ in range(12):
+            psi, x, y = _integrate(kappa, h, 0.0, 0.0, psi0)
+            miss = np.array([psi[-1] - psi[0] - turn, x[-1], y[-1]])
+            weight = np.full(n + 1, h)
+            weight[[0, -1]] *= 0.5
+            effect = np.stack([np.ones(n + 1), -(y[-1] - y), x[-1] - x]) * weight  # (3, n + 1)
+            kappa = kappa - basis @ np.linalg.solve(effect @ basis, miss)
+            if np.abs(miss).max() < 1e-12 * max(1.0, self.length):
+                break
+        self.closure_correction = float(np.abs(kappa - before).max())
+        return kappa, psi0
+
+    @classmethod
+    def from_curvature(
+        cls,
+        kappa_knots: npt.ArrayLike,
+        ds_knots: float | npt.ArrayLike,
+        *,
+        x0: float = 0.0,
+        y0: float = 0.0,
+        psi0: float = 0.0,
+        closed: bool = False,
+        grid: float = GRID,
+    ) -> Path:
+        """Path whose curvature is linear between knots.
+
+        Args:
+            kappa_knots: Curvature at the knots [1/m], shape (k,).
+            ds_knots: Distance of the knots [m], one number or shape (k - 1,). With one number the
+                knots lie on the grid; otherwise they are met within half a cell.
+            x0: Start [m].
+            y0: Start [m].
+            psi0: Start heading [rad].
+            closed: Whether the path ends where and how it starts.
+            grid: Largest spacing of the fine grid [m].
+
+        Raises:
+            PathError: Knots that are not finite, or distances that are not positive.
+        """
+        knots = np.asarray(kappa_knots, dtype=float)
+        if knots.ndim != 1 or len(knots) < 2:
+            raise PathError("A path needs at least two curvature knots.")
+        steps = np.broadcast_to(np.asarray(ds_knots, dtype=float), (len(knots) - 1,))
+        if not np.all(np.isfinite(steps)) or np.any(steps <= 0.0):
+            raise PathError("The distances between curvature knots must be positive numbers.")
+        s_knots = np.concatenate([[0.0], np.cumsum(steps)])
+        length = float(s_knots[-1])
+        if np.ndim(ds_knots) == 0:
+            cells = math.ceil(float(steps[0]) / grid - 1e-9) * len(steps)
+        else:
+            cells = math.ceil(length / grid - 1e-9)
+        if cells > MAX_POINTS:
+            raise PathError(f"A path of {length:.6g} m is longer than this program handles.")
+        kappa = np.interp(np.linspace(0.0, length, cells + 1), s_knots, knots)
+        return cls(kappa, length, x0=x0, y0=y0, psi0=psi0, closed=closed)
+
+    def at(self, s: npt.ArrayLike) -> tuple[Array, Array, Array, Array]:
+        """Position, heading and curvature at arc lengths.
+
+        Args:
+            s: Arc length [m], shape (...,).
+
+        Returns:
+            x [m], y [m], psi [rad, unwrapped], kappa [1/m], each of shape (...,).
+        """
+        s = np.asarray(s, dtype=float)
+        out = _poses(self._table, self.spacing, self.closed, np.ascontiguousarray(s).ravel())
+        return tuple(column.reshape(s.shape) for column in out)  # type: ignore[return-value]
+
+    def project(self, x: float, y: float, s_prev: float) -> tuple[float, float]:
+        """Foot of the perpendicular from a point, searched from the previous one.
+
+        Descends the distance from `s_prev`, at most 1 m per iteration, so it stays on the branch
+        where it was: crossing branches and the start line do not exist for it.
+
+        Args:
+            x: Point [m].
+            y: Point [m].
+            s_prev: Arc length of the previous projection [m].
+
+        Returns:
+            s [m] (not wrapped on closed paths) and ey [m, left positive].
+        """
+        return _project(self._table, self.spacing, self.closed, x, y, s_prev)
+
+    def locate(self, x: float, y: float, psi: float | None = None) -> tuple[float, float]:
+        """Nearest point of the whole path: the first projection, when nothing is known.
+
+        Args:
+            x: Point [m].
+            y: Point [m].
+            psi: Heading of the car [rad]; where given, branches that run another way by more than
+                90 degrees are left out (unless all do).
+
+        Returns:
+            s [m] in [0, length] (an open path may be left at its ends) and ey [m].
+        """
+        distance = np.hypot(self.x - x, self.y - y)
+        if psi is not None:
+            along = np.cos(self.psi - psi) > 0.0
+            if along.any():
+                distance = np.where(along, distance, np.inf)
+        s, ey = self.project(x, y, float(self.s[int(np.argmin(distance))]))
+        if self.closed:
+            s -= math.floor(s / self.length) * self.length
+        return s, ey
+
+    def preview(
+        self,
+        x: float,
+        y: float,
+        psi: float,
+        s_prev: float,
+        speed: SpeedProfile,
+        Np: int,
+        Ts: float,
+    ) -> Preview:
+        """Errors of the car and the reference along the horizon, in one compiled call.
+
+        Args:
+            x: Position of the car [m].
+            y: Position of the car [m].
+            psi: Heading of the car [rad], any multiple of 2 pi away.
+            s_prev: Arc length of the previous projection [m].
+            speed: Reference speed along this path.
+            Np: Number of steps of the horizon.
+            Ts: Step [s].
+        """
+        s, ey, epsi, rows = _preview(
+            self._table,
+            self.spacing,
+            self.closed,
+            speed.vx,
+            speed.spacing,
+            x,
+            y,
+            psi,
+            s_prev,
+            Np,
+            Ts,
+        )
+        return Preview(s, ey, epsi, rows[0], rows[1], rows[2], rows[3], rows[4])
+
+
+def _integrate(
+    kappa: Array, h: float, x0: float, y0: float, psi0: float
+) -> tuple[Array, Array, Array]:
+    """Heading and position on the grid from the curvature: exact integrals, shapes (n + 1,)."""
+    k0, dk = kappa[:-1], np.diff(kappa)
+    psi = psi0 + np.concatenate([[0.0], np.cumsum(h * (k0 + 0.5 * dk))])
+    cos_mean, sin_mean = np.zeros(len(k0)), np.zeros(len(k0))
+    for c, w in ((_C1, _W1), (_C2, _W2), (_C3, _W1)):
+        angle = psi[:-1] + h * c * (k0 + 0.5 * c * dk)
+        cos_mean += w * np.cos(angle)
+        sin_mean += w * np.sin(angle)
+    x = x0 + np.concatenate([[0.0], np.cumsum(h * cos_mean)])
+    y = y0 + np.concatenate([[0.0], np.cumsum(h * sin_mean)])
+    return psi, x, y
+
+
+@njit(cache=True)
+def _pose(table, h, closed, s):
+    """Position, heading and curvature at one arc length [m]; see `Path.at`."""
+    n = table.shape[0] - 1
+    length = n * h
+    extra = 0.0
+    if closed:
+        laps = math.floor(s / length)
+        s -= laps * length
+        extra = laps * (table[n, 2] - table[0, 2])
+    elif s < 0.0 or s > length:
+        # Beyond an end: the circle of the curvature there, through its chord.
+        i = 0 if s < 0.0 else n
+        u = s if s < 0.0 else s - length
+        k = table[i, 3]
+        half = 0.5 * k * u
+        chord = u if abs(half) < 1e-8 else u * math.sin(half) / half
+        psi = table[i, 2] + half
+        return (
+            table[i, 0] + chord * math.cos(psi),
+            table[i, 1] + chord * math.sin(psi),
+            psi + half,
+            k,
+        )
+    i = min(int(s / h), n - 1)
+    u = s - i * h
+    k0 = table[i, 3]
+    dk = 0.5 * (table[i + 1, 3] - k0) / h
+    psi0 = table[i, 2] + extra
+    u1, u2, u3 = _C1 * u, _C2 * u, _C3 * u
+    a1 = psi0 + u1 * (k0 + dk * u1)
+    a2 = psi0 + u2 * (k0 + dk * u2)
+    a3 = psi0 + u3 * (k0 + dk * u3)
+    x = table[i, 0] + u * (_W1 * (math.cos(a1) + math.cos(a3)) + _W2 * math.cos(a2))
+    y = table[i, 1] + u * (_W1 * (math.sin(a1) + math.sin(a3)) + _W2 * math.sin(a2))
+    return x, y, psi0 + u * (k0 + dk * u), k0 + 2.0 * dk * u
+
+
+@njit(cache=True)
+def _poses(table, h, closed, s):
+    x, y, psi, kappa = np.empty(s.size), np.empty(s.size), np.empty(s.size), np.empty(s.size)
+    for j in range(s.size):
+        x[j], y[j], psi[j], kappa[j] = _pose(table, h, closed, s[j])
+    return x, y, psi, kappa
+
+
+@njit(cache=True)
+def _project(table, h, closed, x, y, s):
+    """Local descent of the distance; see `Path.project`. Returns s and ey [m]."""
+    # Newton on (p - r(s)) . t(s) = 0, whose derivative is -(1 - kappa ey). The floor keeps the
+    # step downhill where the point lies beyond the centre of curvature.
+    for _ in range(200):
+        px, py, psi, kappa = _pose(table, h, closed, s)
+        c, d = math.cos(psi), math.sin(psi)
+        along = (x - px) * c + (y - py) * d
+        across = (y - py) * c - (x - px) * d
+        step = along / max(1.0 - kappa * across, 0.2)
+        step = min(max(step, -1.0), 1.0)
+        s += step
+        if abs(step) < 1e-10:
+            break
+    px, py, psi, kappa = _pose(table, h, closed, s)
+    return s, (y - py) * math.cos(psi) - (x - px) * math.sin(psi)
+
+
+@njit(cache=True)
+def _speed(vx, h, closed, s):
+    """Reference speed [m/s] at one arc length, linear between grid points, held at open ends."""
+    n = vx.size - 1
+    q = s / h
+    if closed:
+        q -= math.floor(q / n) * n
+    i = min(max(int(q), 0), n - 1)
+    f = min(max(q - i, 0.0), 1.0)
+    return vx[i] + f * (vx[i + 1] - vx[i])
+
+
+@njit(cache=True)
+def _preview(table, h, closed, vx, h_vx, x, y, psi, s_prev, Np, Ts):
+    """See `Path.preview`: s, ey, epsi and rows kappa, vx_ref, x, y, psi, shape (5, Np + 1)."""
+    s0, ey = _project(table, h, closed, x, y, s_prev)
+    rows = np.empty((5, Np + 1))
+    s = s0
+    for j in range(Np + 1):
+        px, py, path_psi, kappa = _pose(table, h, closed, s)
+        v = _speed(vx, h_vx, closed, s)
+        rows[0, j], rows[1, j], rows[2, j], rows[3, j], rows[4, j] = kappa, v, px, py, path_psi
+        # Classic Runge-Kutta step of ds/dt = vx_ref(s).
+        v2 = _speed(vx, h_vx, closed, s + 0.5 * Ts * v)
+        v3 = _speed(vx, h_vx, closed, s + 0.5 * Ts * v2)
+        v4 = _speed(vx, h_vx, closed, s + Ts * v3)
+        s += Ts * (v + 2.0 * v2 + 2.0 * v3 + v4) / 6.0
+    epsi = psi - rows[4, 0]
+    epsi -= 2.0 * math.pi * math.ceil(epsi / (2.0 * math.pi) - 0.5)
+    return s0, ey, epsi, rows
+
