@@ -1,0 +1,299 @@
+"""Figures of one closed-loop run, drawn from its log alone.
+
+Each function returns a matplotlib Figure sized for one column (88 mm) or two columns (181 mm) of
+a conference paper; `save_all` writes them as PNG. The counterparts in the paper (Kebbati et al.)
+are named in each docstring. matplotlib is imported on first use, pyplot never: no display and no
+global state are needed, and the bytes of a PNG depend on the log and the matplotlib version only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path as FilePath
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lpvmpc.errors import OutputError
+from lpvmpc.vehicle import GRAVITY
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+PAPER = {
+    "lateral_rmse_m": 0.0217, "lateral_max_m": 0.08,
+    "heading_rmse_rad": 0.0465, "heading_max_rad": np.deg2rad(11.0),
+    "speed_rmse_mps": 0.101, "speed_max_mps": 0.087,
+    "solve_mean_s": 0.0113,
+}
+"""Results printed in the paper. Its largest speed error is below its RMSE; quoted as printed."""
+
+BLUE, SKY, GREEN, ORANGE, RED, PINK, GREY = (
+    "#0072B2", "#56B4E9", "#009E73", "#E69F00", "#D55E00", "#CC79A7", "#6E6E6E")
+"""Colours of Okabe and Ito, told apart with every common colour-vision deficiency, and a grey."""
+
+COLUMN, DOUBLE = 3.46, 7.13
+"""Widths of one and of two columns [inch]."""
+
+STYLE: dict[str, Any] = {
+    "font.family": "DejaVu Sans", "font.size": 7.5, "axes.titlesize": 8.0,
+    "axes.titlelocation": "left", "axes.labelsize": 7.5, "xtick.labelsize": 7.0,
+    "ytick.labelsize": 7.0, "legend.fontsize": 6.8, "legend.frameon": False,
+    "legend.handlelength": 1.6, "legend.borderaxespad": 0.2, "axes.spines.top": False,
+    "axes.spines.right": False, "axes.linewidth": 0.6, "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6, "lines.linewidth": 1.0, "axes.grid": True, "grid.color": "#DDDDDD",
+    "grid.linewidth": 0.5, "axes.axisbelow": True, "figure.dpi": 300, "savefig.dpi": 300,
+    "figure.constrained_layout.use": True,
+}
+
+
+def save_all(log: Any, directory: str | FilePath) -> list[FilePath]:
+    """Draw every figure of a run and write it as PNG.
+
+    Args:
+        log: Log of `simulate`, with one row or more.
+        directory: Where the files go; made if missing.
+
+    Returns:
+        The files written, in the order of the paper's figures.
+
+    Raises:
+        OutputError: The directory or a file cannot be written.
+    """
+    import matplotlib
+
+    directory = FilePath(directory)
+    figures: dict[str, Callable[[Any], Figure]] = {
+        "speed_wind": speed_wind, "path": path, "commands": commands, "errors": errors,
+        "computation_time": computation_time, "gg": gg,
+    }
+    files = []
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        for name, draw in figures.items():
+            with matplotlib.rc_context(STYLE):
+                files.append(directory / f"{name}.png")
+                draw(log).savefig(files[-1], metadata={"Software": None})
+    except OSError as error:
+        raise OutputError(f"Cannot write figures to {str(directory)!r}: {error}.") from error
+    return files
+
+
+def speed_wind(log: Any) -> Figure:
+    """Speed with its reference, and the side wind, over time (the paper's Fig. 7)."""
+    c = log.columns
+    figure, (top, bottom) = _rows(log, "Speed and side wind", 2, (1.6, 1.0), height=2.7)
+    top.plot(c["t_s"], c["vx_mps"], color=BLUE, lw=1.6, label="driven")
+    top.plot(c["t_s"], c["vx_ref_mps"], color="black", lw=0.8, ls=(0, (4, 2)), label="reference")
+    _axis(top, "speed [m/s]", legend=2)
+    bottom.plot(c["t_s"], c["wind_mps"], color=GREEN)
+    _axis(bottom, "wind [m/s]", zero=True)
+    bottom.set_xlabel("time [s]")
+    return figure
+
+
+def path(log: Any) -> Figure:
+    """Driven path on the road, with three zooms of the lateral error (the paper's Fig. 8).
+
+    The error is millimetres on a road of a kilometre, so the zooms are straightened: distance
+    along the path against the error across it.
+    """
+    c = log.columns
+    figure = _figure(COLUMN, 4.15)
+    grid = figure.add_gridspec(2, 3, height_ratios=(2.5, 1.0))
+    plane = figure.add_subplot(grid[0, :])
+    _title(plane, log, "Path")
+    plane.plot(c["x_ref_m"], c["y_ref_m"], color="#D4D4D4", lw=4.0, solid_capstyle="round",
+               label="road")
+    plane.plot(c["x_ref_m"], c["y_ref_m"], color="black", lw=0.8, ls=(0, (4, 2)),
+               label="reference", zorder=4)
+    plane.plot(c["x_m"], c["y_m"], color=BLUE, lw=1.6, label="driven", zorder=3)
+    plane.plot(c["x_m"][0], c["y_m"][0], "o", color="black", ms=3.5, label="start", zorder=5)
+    plane.set_aspect("equal", adjustable="datalim")
+    _axis(plane, "y [m]")
+    plane.set_xlabel("x [m]")
+    handles, labels = plane.get_legend_handles_labels()
+    figure.legend(handles, labels, ncols=4, loc="outside lower center")
+
+    span = 25.0  # half the width of a zoom [m]
+    limit = 1.15 * _largest(c["ey_m"]) * 1e3
+    for index, (letter, (what, row)) in enumerate(zip("ABC", _zooms(c).items(), strict=True)):
+        mark = (float(c["x_m"][row]), float(c["y_m"][row]))
+        plane.plot(*mark, "o", ms=5.0, mfc="white", mec=RED, mew=1.0, zorder=6)
+        plane.annotate(letter, mark, xytext=(4, 4), textcoords="offset points", color=RED,
+                       weight="bold", zorder=7)
+        zoom = figure.add_subplot(grid[1, index])
+        near = np.abs(c["s_m"] - c["s_m"][row]) <= span
+        zoom.axhline(0.0, color="black", lw=0.8, ls=(0, (4, 2)))
+        zoom.plot(c["s_m"][near], 1e3 * c["ey_m"][near], color=BLUE, lw=1.2)
+        zoom.set_ylim(-limit, limit)
+        zoom.set_title(f"{letter}  {what}", fontsize=6.8, color=RED)
+        _axis(zoom, "left error [mm]" if index == 0 else "")
+        zoom.tick_params(labelleft=index == 0)
+        zoom.locator_params(axis="x", nbins=3)
+        zoom.set_xlabel("s [m]")
+    return figure
+
+
+def commands(log: Any) -> Figure:
+    """Steering, acceleration and lateral velocity (the paper's Fig. 9)."""
+    c = log.columns
+    figure, axes = _rows(log, "Commands and lateral velocity", 3, (1.0, 1.0, 1.0), height=3.5)
+    t = c["t_s"]
+    axes[0].plot(t, np.rad2deg(c["delta_cmd_rad"]), color=RED, label="command")
+    axes[0].plot(t, np.rad2deg(c["delta_rad"]), color="black", lw=0.7, ls=(0, (4, 2)),
+                 label="road wheel")
+    _axis(axes[0], "steering [deg]", legend=2, zero=True)
+    axes[1].plot(t, c["ax_cmd_mps2"], color=RED, label="command")
+    axes[1].plot(t, c["ax_mps2"], color="black", lw=0.7, ls=(0, (4, 2)), label="centre of mass")
+    _axis(axes[1], "accel. [m/s²]", legend=2, zero=True)
+    axes[2].plot(t, c["vy_mps"], color=BLUE)
+    _axis(axes[2], "lateral [m/s]", zero=True)
+    axes[2].set_xlabel("time [s]")
+    figure.align_ylabels(axes)
+    return figure
+
+
+def errors(log: Any) -> Figure:
+    """Tracking errors beside the paper's printed values (the paper's Fig. 10).
+
+    Left: with sign, on their own scale. Right: magnitude on a logarithmic scale, where the
+    paper's RMSE and largest error are dashed lines; only on the paper's road, since errors on
+    another road are not comparable.
+    """
+    c = log.columns
+    compared = log.meta["scenario"] == "paper"
+    figure = _figure(DOUBLE, 4.0)
+    axes = figure.subplots(3, 2, sharex=True)
+    rows = (
+        ("lateral", "mm", 1e3 * c["ey_m"], 1e3 * PAPER["lateral_rmse_m"],
+         1e3 * PAPER["lateral_max_m"]),
+        ("heading", "deg", np.rad2deg(c["epsi_rad"]), np.rad2deg(PAPER["heading_rmse_rad"]),
+         np.rad2deg(PAPER["heading_max_rad"])),
+        ("speed", "m/s", c["vx_mps"] - c["vx_ref_mps"], PAPER["speed_rmse_mps"],
+         PAPER["speed_max_mps"]),
+    )
+    for (signed, magnitude), (name, unit, error, rmse, largest) in zip(axes, rows, strict=True):
+        signed.plot(c["t_s"], error, color=BLUE, lw=0.9)
+        _axis(signed, f"{name} [{unit}]", zero=True)
+        size = np.maximum(np.abs(error), 1e-4 * max(largest, 1e-12))  # zeros have no logarithm
+        ours = float(np.sqrt(np.mean(np.square(error))))
+        magnitude.semilogy(c["t_s"], size, color=SKY, lw=0.7, label="|error|")
+        magnitude.axhline(ours, color=BLUE, lw=1.2, label=f"RMSE {ours:.3g}")
+        if compared:
+            magnitude.axhline(rmse, color=RED, lw=1.0, ls=(0, (4, 2)),
+                              label=f"paper RMSE {rmse:.3g}")
+            magnitude.axhline(largest, color="black", lw=1.0, ls=(0, (1, 1.5)),
+                              label=f"paper max {largest:.3g}")
+        floor = max(float(np.percentile(size, 2.0)), 1e-3 * rmse)
+        top = max(largest, rmse, _largest(error)) if compared else _largest(error)
+        magnitude.set_ylim(min(floor, 0.1 * top), 2.5 * top)
+        _axis(magnitude, f"|{name}| [{unit}]")
+        magnitude.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    _title(axes[0, 0], log, "Tracking errors")
+    for axis in axes[-1]:
+        axis.set_xlabel("time [s]")
+    figure.align_ylabels(axes)
+    return figure
+
+
+def computation_time(log: Any) -> Figure:
+    """Time of each control step against the control period (the paper's Fig. 11)."""
+    t = log.timing["t_s"]
+    step = 1e-3 * np.asarray(log.timing["step_us"], dtype=float)  # ms
+    period = 1e3 * float(log.meta.get("Ts") or (t[1] - t[0] if t.size > 1 else 0.033))
+    figure = _figure(COLUMN, 2.4)
+    axis = figure.subplots()
+    _title(axis, log, "Control step time")
+    axis.plot(t, step, ".", ms=1.6, color=SKY, label="step", rasterized=True)
+    if step.size:
+        p50, p99 = np.percentile(step, (50.0, 99.0))
+        axis.axhline(p50, color=BLUE, lw=1.2, label=f"median {p50:.2f} ms")
+        axis.axhline(p99, color=ORANGE, lw=1.2, label=f"99th percentile {p99:.2f} ms")
+    paper = 1e3 * PAPER["solve_mean_s"]
+    axis.axhline(paper, color=RED, lw=1.0, ls=(0, (4, 2)), label=f"paper, mean {paper:.1f} ms")
+    axis.axhline(period, color="black", lw=1.0, ls=(0, (1, 1.5)),
+                 label=f"control period {period:.0f} ms")
+    axis.set_yscale("log")
+    axis.set_ylim(0.5 * min(np.min(step, initial=period), 1.0), 2.5 * max(
+        period, np.max(step, initial=0.0)))
+    _axis(axis, "thread CPU time [ms]")
+    axis.set_xlabel("time [s]")
+    handles, labels = axis.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2)
+    return figure
+
+
+def gg(log: Any) -> Figure:
+    """Accelerations of the centre of mass inside the friction circle, coloured by speed."""
+    c = log.columns
+    figure = _figure(COLUMN, 3.0)
+    axis = figure.subplots()
+    _title(axis, log, "Accelerations")
+    points = axis.scatter(c["ay_mps2"], c["ax_mps2"], c=c["vx_mps"], s=2.5, cmap="cividis",
+                          linewidths=0.0, rasterized=True, zorder=3)
+    bar = figure.colorbar(points, ax=axis, shrink=0.8, pad=0.02)
+    bar.set_label("speed [m/s]")
+    bar.outline.set_linewidth(0.6)  # type: ignore[operator]
+    mu = float(np.mean([np.median(c[f"mu_{w}"]) for w in ("fl", "fr", "rl", "rr")]))
+    angle = np.linspace(0.0, 2.0 * np.pi, 181)
+    radius = mu * GRAVITY
+    axis.plot(radius * np.cos(angle), radius * np.sin(angle), color=RED, ls=(0, (4, 2)),
+              label=f"friction circle, {mu:.2g} g")
+    axis.set_aspect("equal")
+    edge = 1.08 * max(radius, _largest(c["ay_mps2"]), _largest(c["ax_mps2"]))
+    axis.set_xlim(-edge, edge)
+    axis.set_ylim(-edge, edge)
+    _axis(axis, "longitudinal [m/s²]")
+    axis.set_xlabel("lateral, left positive [m/s²]")
+    figure.legend(*axis.get_legend_handles_labels(), loc="outside lower center")
+    return figure
+
+
+def _zooms(c: dict[str, Any]) -> dict[str, int]:
+    """Rows worth a closer look: largest error, tightest bend, strongest wind."""
+    return {
+        "largest error": int(np.argmax(np.abs(c["ey_m"]))),
+        "tightest bend": int(np.argmax(np.abs(c["kappa_radpm"]))),
+        "strongest wind": int(np.argmax(np.abs(c["wind_mps"]))),
+    }
+
+
+def _largest(values: Any) -> float:
+    """Largest magnitude of the finite values, never zero."""
+    values = np.asarray(values, dtype=float)
+    return max(float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0)), 1e-9)
+
+
+def _figure(width: float, height: float) -> Figure:
+    """An empty figure of the house style, sizes in inches."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height))
+
+
+def _rows(log: Any, title: str, count: int, ratios: tuple[float, ...],
+          height: float) -> tuple[Figure, Any]:
+    """One column of `count` axes that share the time axis."""
+    figure = _figure(COLUMN, height)
+    axes = figure.subplots(count, 1, sharex=True, gridspec_kw={"height_ratios": ratios})
+    _title(axes[0], log, title)
+    return figure, axes
+
+
+def _title(axis: Axes, log: Any, what: str) -> None:
+    """Title with the scenario and the controller; a run cut short says so."""
+    note = "" if log.meta.get("completed", True) else ", not completed"
+    axis.set_title(f"{what} ({log.meta['scenario']}, {log.meta['controller']}{note})")
+
+
+def _axis(axis: Axes, label: str, *, legend: int = 0, zero: bool = False) -> None:
+    """Label, room for a legend of `legend` columns above the curves, a line at zero."""
+    axis.set_ylabel(label)
+    if zero:
+        axis.axhline(0.0, color=GREY, lw=0.5, zorder=1)
+    if legend:
+        low, high = axis.get_ylim()
+        axis.set_ylim(low, high + 0.25 * (high - low))
+        axis.legend(loc="upper left", ncols=legend)
