@@ -1,0 +1,344 @@
+"""The single-track ("bicycle") model: nonlinear, as an LPV system, and discretised.
+
+Equations 1-4 and 7-8 of Kebbati et al. in the corrected form of docs/derivations.md. Tire forces
+are affine in the slip angle on each axle, Fy = C alpha + F0: the paper's linear tire is F0 = 0, and
+a tangent at the operating point has both terms.
+
+Orders: the MPC state is (vx, vy, r, ey, epsi, delta, a), the paper's five states followed by the
+actual steering angle and the actual drive acceleration; the input is (delta, ax) as commanded.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from lpvmpc.vehicle import GRAVITY, Array, VehicleParams
+
+NX = 7
+"""Number of model states: vx, vy, r, ey, epsi, delta, a."""
+NU = 2
+"""Number of inputs: delta, ax."""
+VX, VY, R, EY, EPSI, DELTA, A = range(NX)
+EXACT, EULER = 0, 1
+CORRECTED, PRINTED = 0, 1
+
+
+class Bicycle(NamedTuple):
+    """Constants of the single-track model, as plain numbers for compiled code."""
+
+    m: float
+    """Mass [kg]."""
+    Iz: float
+    """Yaw inertia [kg m2]."""
+    lf: float
+    """Centre of mass to front axle [m]."""
+    lr: float
+    """Centre of mass to rear axle [m]."""
+    c_roll: float
+    """Rolling resistance coefficient [-]."""
+    k_drag: float
+    """0.5 rho_air CdA [kg/m]."""
+    tau_delta: float
+    """Lag of the steering servo [s]."""
+    tau_ax: float
+    """Lag of drive and brake [s]."""
+    vx_min: float
+    """Speed below which the model is evaluated at vx_min [m/s]."""
+
+    @classmethod
+    def of(cls, car: VehicleParams) -> Bicycle:
+        """The single-track constants of a car."""
+        return cls(
+            car.m,
+            car.Iz,
+            car.lf,
+            car.lr,
+            car.c_roll,
+            0.5 * car.rho_air * car.CdA,
+            car.tau_delta,
+            car.tau_ax,
+            car.vx_min,
+        )
+
+
+def slip_angles(vx, vy, r, delta, car):
+    """Front and rear slip angles of the single-track model.
+
+    alpha_f = delta - atan2(vy + lf r, vx),   alpha_r = -atan2(vy - lr r, vx)
+
+    The sign is opposite to ISO 8855: a positive angle gives a positive (left) force.
+
+    Args:
+        vx: Longitudinal speed [m/s], shape (...,). Meaningful above `car.vx_min`.
+        vy: Lateral speed [m/s], shape (...,).
+        r: Yaw rate [rad/s], shape (...,).
+        delta: Road-wheel steering angle [rad], shape (...,).
+        car: Anything with `lf` and `lr` [m].
+
+    Returns:
+        Pair of arrays [rad], shape (...,).
+
+    Source: Rajamani, Vehicle Dynamics and Control, section 2.3; the paper's eq. 4, sign corrected.
+    """
+    alpha_f = delta - np.arctan2(vy + car.lf * r, vx)
+    alpha_r = -np.arctan2(vy - car.lr * r, vx)
+    return alpha_f, alpha_r
+
+
+@njit(cache=True)
+def derivative(x, u, kappa, tires, car):
+    """Time derivative of the nonlinear single-track model with servo lags.
+
+    vx' = a + r vy - (Fyf sin(delta) + Fd) / m,   Fd = c_roll m g + k_drag vx^2
+    vy' = (Fyf cos(delta) + Fyr) / m - r vx
+    r'  = (lf Fyf cos(delta) - lr Fyr) / Iz
+    ey' = vx sin(epsi) + vy cos(epsi)
+    epsi' = r - kappa (vx cos(epsi) - vy sin(epsi)) / (1 - ey kappa)
+    delta' = (delta_cmd - delta) / tau_delta,   a' = (ax_cmd - a) / tau_ax
+
+    Args:
+        x: State (vx, vy, r, ey, epsi, delta, a), shape (7,).
+        u: Command (delta [rad], ax [m/s2]), shape (2,).
+        kappa: Path curvature [1/m].
+        tires: Affine axle forces (Cf [N/rad], F0f [N], Cr, F0r), shape (4,).
+        car: `Bicycle` constants.
+
+    Returns:
+        Derivative of the state, shape (7,).
+
+    Source: Kebbati et al., eqs. 1-4, corrected as in docs/derivations.md.
+    """
+    vx = max(x[VX], car.vx_min)
+    vy, r, ey, epsi, delta = x[VY], x[R], x[EY], x[EPSI], x[DELTA]
+    Fyf = tires[0] * (delta - np.arctan2(vy + car.lf * r, vx)) + tires[1]
+    Fyr = -tires[2] * np.arctan2(vy - car.lr * r, vx) + tires[3]
+    drag = car.c_roll * car.m * GRAVITY + car.k_drag * vx * vx
+    dx = np.empty(NX)
+    dx[VX] = x[A] + r * vy - (Fyf * np.sin(delta) + drag) / car.m
+    dx[VY] = (Fyf * np.cos(delta) + Fyr) / car.m - r * vx
+    dx[R] = (car.lf * Fyf * np.cos(delta) - car.lr * Fyr) / car.Iz
+    dx[EY] = vx * np.sin(epsi) + vy * np.cos(epsi)
+    dx[EPSI] = r - kappa * (vx * np.cos(epsi) - vy * np.sin(epsi)) / (1.0 - ey * kappa)
+    dx[DELTA] = (u[0] - delta) / car.tau_delta
+    dx[A] = (u[1] - x[A]) / car.tau_ax
+    return dx
+
+
+@njit(cache=True)
+def _sinc(angle):
+    """sin(angle) / angle, continuous at zero."""
+    if abs(angle) < 1e-4:
+        return 1.0 - angle * angle / 6.0
+    return np.sin(angle) / angle
+
+
+@njit(cache=True)
+def _atanc(z):
+    """atan(z) / z, continuous at zero."""
+    if abs(z) < 1e-4:
+        return 1.0 - z * z / 3.0
+    return np.arctan(z) / z
+
+
+@njit(cache=True)
+def lpv(x, kappa, tires, car, lags, form, A_out, B_out, c_out):
+    """Matrices of the LPV form x' = A(rho) x + B(rho) u + c(rho), written in place.
+
+    At the scheduling point rho = (x, kappa) the LPV form equals the nonlinear model exactly.
+    A45 is vx sinc(epsi) instead of the printed A41 = sin(epsi): the same value at the scheduling
+    point, but the predicted ey then reacts to the predicted epsi.
+
+    Args:
+        x: Scheduling state (vx, vy, r, ey, epsi, delta, a), shape (7,).
+        kappa: Path curvature [1/m].
+        tires: Affine axle forces (Cf, F0f, Cr, F0r) [N/rad, N], shape (4,).
+        car: `Bicycle` constants.
+        lags: Whether the servo lags are states; if not, the input acts at once.
+        form: CORRECTED, or PRINTED for the error rows as printed (A41 = sin, A45 = 0) with the
+            signs corrected, which an ablation shows.
+        A_out: Receives A, shape (7, 7).
+        B_out: Receives B, shape (7, 2).
+        c_out: Receives c, shape (7,).
+
+    Source: Kebbati et al., eqs. 7-8; corrections 1-6 in docs/derivations.md.
+    """
+    vx = max(x[VX], car.vx_min)
+    vy, r, ey, epsi, delta = x[VY], x[R], x[EY], x[EPSI], x[DELTA]
+    Cf, F0f, Cr, F0r = tires[0], tires[1], tires[2], tires[3]
+    sin_d, cos_d = np.sin(delta), np.cos(delta)
+    gf = Cf * _atanc((vy + car.lf * r) / vx) / vx  # front force per lateral speed of the axle
+    gr = Cr * _atanc((vy - car.lr * r) / vx) / vx
+
+    A_out[:, :] = 0.0
+    B_out[:, :] = 0.0
+    c_out[:] = 0.0
+    A_out[VX, VX] = -car.c_roll * GRAVITY / vx - car.k_drag * vx / car.m
+    A_out[VX, VY] = gf * sin_d / car.m
+    A_out[VX, R] = car.lf * gf * sin_d / car.m + vy
+    A_out[VY, VY] = -(gr + gf * cos_d) / car.m
+    A_out[VY, R] = -(car.lf * gf * cos_d - car.lr * gr) / car.m - vx
+    A_out[R, VY] = -(car.lf * gf * cos_d - car.lr * gr) / car.Iz
+    A_out[R, R] = -(car.lf**2 * gf * cos_d + car.lr**2 * gr) / car.Iz
+    A_out[EY, VY] = np.cos(epsi)
+    if form == PRINTED:
+        A_out[EY, VX] = np.sin(epsi)
+    else:
+        A_out[EY, EPSI] = vx * _sinc(epsi)
+    narrowing = 1.0 - ey * kappa
+    A_out[EPSI, VX] = -kappa * np.cos(epsi) / narrowing
+    A_out[EPSI, VY] = kappa * np.sin(epsi) / narrowing
+    A_out[EPSI, R] = 1.0
+    c_out[VX] = -F0f * sin_d / car.m
+    c_out[VY] = (F0f * cos_d + F0r) / car.m
+    c_out[R] = (car.lf * F0f * cos_d - car.lr * F0r) / car.Iz
+
+    steer_vx = -Cf * sin_d / car.m
+    steer_vy = Cf * cos_d / car.m
+    steer_r = car.lf * Cf * cos_d / car.Iz
+    if lags:
+        A_out[VX, DELTA], A_out[VY, DELTA], A_out[R, DELTA] = steer_vx, steer_vy, steer_r
+        A_out[VX, A] = 1.0
+        A_out[DELTA, DELTA] = -1.0 / car.tau_delta
+        A_out[A, A] = -1.0 / car.tau_ax
+        B_out[DELTA, 0] = 1.0 / car.tau_delta
+        B_out[A, 1] = 1.0 / car.tau_ax
+    else:
+        B_out[VX, 0], B_out[VY, 0], B_out[R, 0] = steer_vx, steer_vy, steer_r
+        B_out[VX, 1] = 1.0
+
+
+@njit(cache=True)
+def hold(A_in, Ts, method, Ad_out, G_out):
+    """Zero-order hold of a linear system over one period, in place.
+
+    x+ = Ad x + G (B u + c),   Ad = exp(A Ts),   G = integral of exp(A t) dt over the period
+
+    The exact hold is a Taylor series of order 7 on Ts / 2^n, doubled n times; n keeps the norm of
+    the scaled matrix below 1/2, so that the truncation error is below 1e-7 of the result.
+
+    Args:
+        A_in: System matrix, shape (nx, nx).
+        Ts: Period [s].
+        method: EXACT, or EULER for Ad = I + A Ts, G = I Ts as printed in the paper's eq. 9.
+        Ad_out: Receives Ad, shape (nx, nx).
+        G_out: Receives G, shape (nx, nx).
+
+    Source: Van Loan, Computing integrals involving the matrix exponential, IEEE TAC 23 (1978);
+    the doubling G(2h) = G(h) + Ad(h) G(h) follows from splitting the integral.
+    """
+    n = A_in.shape[0]
+    if method == EULER:
+        for i in range(n):
+            for j in range(n):
+                Ad_out[i, j] = A_in[i, j] * Ts
+                G_out[i, j] = 0.0
+            Ad_out[i, i] += 1.0
+            G_out[i, i] = Ts
+        return
+    norm = 0.0
+    for i in range(n):
+        row = 0.0
+        for j in range(n):
+            row += abs(A_in[i, j])
+        norm = max(norm, row * Ts)
+    doublings = 0
+    while norm > 0.5 and doublings < 30:
+        norm *= 0.5
+        doublings += 1
+    h = Ts / 2.0**doublings
+    M = A_in * h
+    order = 7
+    # S = sum M^k / (k+1)! by Horner's rule, so that G = h S and Ad = I + M S
+    S = np.eye(n)
+    for k in range(order, 0, -1):
+        S = _matmul(M, S)
+        for i in range(n):
+            for j in range(n):
+                S[i, j] /= k + 1.0
+            S[i, i] += 1.0
+    Ad = _matmul(M, S)
+    for i in range(n):
+        Ad[i, i] += 1.0
+    G = S * h
+    for _ in range(doublings):
+        G = G + _matmul(Ad, G)
+        Ad = _matmul(Ad, Ad)
+    Ad_out[:, :] = Ad
+    G_out[:, :] = G
+
+
+@njit(cache=True)
+def _matmul(left, right):
+    """Product of two small square matrices; skips zeros, of which the LPV form is full."""
+    n = left.shape[0]
+    out = np.zeros((n, n))
+    for i in range(n):
+        for k in range(n):
+            a = left[i, k]
+            if a != 0.0:
+                for j in range(n):
+                    out[i, j] += a * right[k, j]
+    return out
+
+
+@njit(cache=True)
+def steady_state(vx, kappa, tires, disturbance, car, x_out):
+    """State in which the car follows a curve without error, in place.
+
+    With r = kappa vx, ey = 0 and a velocity along the path (epsi = -atan(vy / vx)), solves
+    vy' = 0 and r' = 0 for vy and delta; the two equations are linear for the affine tires once
+    cos(delta) is taken as 1, and are corrected twice for cos(delta) and the arctangents.
+
+    Args:
+        vx: Speed [m/s].
+        kappa: Curvature [1/m].
+        tires: Affine axle forces (Cf, F0f, Cr, F0r) [N/rad, N], shape (4,).
+        disturbance: Unmodelled accelerations of (vx, vy, r) [m/s2, m/s2, rad/s2], shape (3,).
+        car: `Bicycle` constants.
+        x_out: Receives (vx, vy, r, ey, epsi, delta, a), shape (7,).
+
+    Source: Rajamani, section 3.2, with an added disturbance; docs/derivations.md.
+    """
+    vx = max(vx, car.vx_min)
+    Cf, F0f, Cr, F0r = tires[0], tires[1], tires[2], tires[3]
+    vy, delta, r = 0.0, 0.0, kappa * vx
+    for _ in range(3):
+        # along the path: the course is psi + beta, and ds/dt = vx / cos(beta)
+        r = kappa * np.sqrt(vx * vx + vy * vy)
+        Fy = car.m * (r * vx - disturbance[1])  # cos(delta) Fyf + Fyr
+        Mz = -car.Iz * disturbance[2]
+        Fyf_cos = (car.lr * Fy + Mz) / (car.lf + car.lr)
+        Fyr = Fy - Fyf_cos
+        alpha_r = (Fyr - F0r) / Cr
+        vy = car.lr * r - vx * np.tan(alpha_r)
+        alpha_f = (Fyf_cos / np.cos(delta) - F0f) / Cf
+        delta = alpha_f + np.arctan2(vy + car.lf * r, vx)
+    Fyf = Fyf_cos / np.cos(delta)
+    drag = car.c_roll * car.m * GRAVITY + car.k_drag * vx * vx
+    x_out[VX] = vx
+    x_out[VY] = vy
+    x_out[R] = r
+    x_out[EY] = 0.0
+    x_out[EPSI] = -np.arctan2(vy, vx)
+    x_out[DELTA] = delta
+    x_out[A] = (Fyf * np.sin(delta) + drag) / car.m - r * vy - disturbance[0]
+
+
+def discretise(A: Array, B: Array, c: Array, Ts: float) -> tuple[Array, Array, Array]:
+    """Exact zero-order hold of x' = A x + B u + c.
+
+    Args:
+        A: System matrix, shape (nx, nx).
+        B: Input matrix, shape (nx, nu).
+        c: Constant term, shape (nx,).
+        Ts: Period [s].
+
+    Returns:
+        Ad, Bd, cd of x+ = Ad x + Bd u + cd, shapes as given.
+    """
+    Ad, G = np.empty_like(A), np.empty_like(A)
+    hold(A, Ts, EXACT, Ad, G)
+    return Ad, G @ B, G @ c

@@ -1,0 +1,483 @@
+"""The adaptive LPV-MPC: one control period from state and preview to command.
+
+Order of one period, as in the paper's Fig. 2: the stiffness model says what the axles do along the
+previous prediction; the LPV model is frozen along it and discretised; the observer adds what the
+model did not predict; the QP is built, solved and checked; a refused solve has an explicit
+fallback. Everything is compiled or a ProxQP call, on preallocated arrays.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, fields
+from typing import Literal
+
+import numpy as np
+from numba import njit
+
+from lpvmpc import observer
+from lpvmpc.bicycle import (
+    CORRECTED,
+    DELTA,
+    EPSI,
+    EULER,
+    EXACT,
+    EY,
+    NU,
+    NX,
+    PRINTED,
+    VX,
+    VY,
+    A,
+    Bicycle,
+    R,
+    derivative,
+    hold,
+    lpv,
+    steady_state,
+)
+from lpvmpc.errors import OptionError
+from lpvmpc.path import Preview
+from lpvmpc.qp import QPSolver, condense, n_rows
+from lpvmpc.stiffness import ConstantStiffness, StiffnessModel
+from lpvmpc.vehicle import Array, Command, State, VehicleParams
+
+DELTA_STEP_PAPER = np.pi / 12
+"""Largest steering increment per period of the paper's Table 2 [rad]."""
+DELTA_MAX_PAPER = np.pi / 6
+"""Largest steering angle of the paper's Table 2 [rad]."""
+EY_MAX = 0.3
+"""Lateral error bound of the paper's Table 2 [m]."""
+BRAKING = -3.0
+"""Acceleration of the last fallback [m/s2]."""
+UNITS = {
+    "vx": 1.0,
+    "vy": 1.0,
+    "r": 0.5,
+    "ey": EY_MAX,
+    "epsi": DELTA_MAX_PAPER,
+    "delta": DELTA_MAX_PAPER,
+    "ax": 5.0,
+}
+"""Size of each variable that counts as one in the cost [m/s, m/s, rad/s, m, rad, rad, m/s2]."""
+SCALE = np.array([0.1, 1.0])
+"""Units of the inputs inside the QP [rad, m/s2], so that its entries are of order one."""
+SLACK_WEIGHTS = np.array([100.0, 1000.0])
+"""Linear and quadratic price of leaving the ey bound [1/m, 1/m2]: far above any tracking cost."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Weights:
+    """Everything that is tuned. Weights are per second and normalised by `UNITS`."""
+
+    q_vx: float = 30.0
+    """Weight of the speed error."""
+    q_vy: float = 0.0
+    """Weight of the lateral speed error."""
+    q_r: float = 0.0
+    """Weight of the yaw rate error."""
+    q_ey: float = 80.0
+    """Weight of the lateral error."""
+    q_epsi: float = 80.0
+    """Weight of the heading error."""
+    r_delta: float = 0.18
+    """Weight of the steering rate."""
+    r_ax: float = 0.04
+    """Weight of the jerk."""
+    terminal: float = 1.0
+    """Factor on the state weights at the end of the horizon."""
+    observer_gain: float = 0.3
+    """Gain of the disturbance observer, 0 to 1."""
+    slip_cap: float = 0.14
+    """Largest front slip angle that a command may ask for [rad]."""
+
+    def __post_init__(self) -> None:
+        """Refuse what no cost can mean."""
+        for f in fields(self):
+            value = getattr(self, f.name)
+            ok = isinstance(value, int | float) and np.isfinite(value) and value >= 0.0
+            if not ok:
+                raise OptionError(f"weight {f.name}", value, "a number of at least 0")
+        if self.observer_gain > 1.0:
+            raise OptionError("weight observer_gain", self.observer_gain, "a number from 0 to 1")
+        if self.slip_cap < 0.01:
+            raise OptionError("weight slip_cap", self.slip_cap, "at least 0.01 rad")
+        for name in ("r_delta", "r_ax"):
+            if getattr(self, name) <= 0.0:
+                raise OptionError(f"weight {name}", getattr(self, name), "a number above 0")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Formulation:
+    """What the controller is made of; each field is one step from the paper's form to ours."""
+
+    hold: Literal["exact", "euler"] = "exact"
+    """Discretisation: exact zero-order hold, or the paper's Euler."""
+    matrices: Literal["corrected", "printed"] = "corrected"
+    """Lateral error row: A45 = vx sinc(epsi), or as printed A41 = sin(epsi), A45 = 0."""
+    reference: Literal["steady", "plain"] = "steady"
+    """State reference: steady-state cornering, or [vx_ref, 0, 0, 0, 0]."""
+    lags: bool = True
+    """Servo lags as model states."""
+    observer: bool = True
+    """Disturbance observer."""
+    slip_cap: bool = True
+    """Bound on the front slip angle that a command may ask for."""
+    Np: int = 10
+    """Prediction horizon [periods]."""
+    Ts: float = 0.033
+    """Control period [s]."""
+
+    def __post_init__(self) -> None:
+        """Check names and ranges."""
+        for name, allowed in (
+            ("hold", ("exact", "euler")),
+            ("matrices", ("corrected", "printed")),
+            ("reference", ("steady", "plain")),
+        ):
+            if getattr(self, name) not in allowed:
+                raise OptionError(name, getattr(self, name), " or ".join(allowed))
+        if not 2 <= self.Np <= 100:
+            raise OptionError("Np", self.Np, "a whole number from 2 to 100")
+        if not (np.isfinite(self.Ts) and 0.001 <= self.Ts <= 0.5):
+            raise OptionError("Ts", self.Ts, "a number of seconds from 0.001 to 0.5")
+
+
+PAPER = Formulation(hold="euler", reference="plain", lags=False, observer=False, slip_cap=False)
+"""The paper's plain formulation on the corrected matrices."""
+
+
+@dataclass
+class Diagnostics:
+    """What happened inside the last `LPVMPC.command`."""
+
+    solved: bool = True
+    """Whether the QP was solved and its solution passed the check."""
+    fallback: str = ""
+    """Empty, or which fallback was used: `shifted` or `braking`."""
+    status: str = "SOLVED"
+    """Status of the solve."""
+    kkt_residual: float = 0.0
+    """KKT residual of the solution [-]."""
+    build_us: float = 0.0
+    """Thread CPU time of adaptation, model and QP building [us]."""
+    solve_us: float = 0.0
+    """Thread CPU time in ProxQP [us]."""
+    check_us: float = 0.0
+    """Thread CPU time of the checks [us]."""
+    prediction: Array = field(default_factory=lambda: np.zeros((1, 5)))
+    """Predicted (vx, vy, r, ey, epsi), shape (Np + 1, 5)."""
+    disturbance: Array = field(default_factory=lambda: np.zeros(3))
+    """Estimated unmodelled accelerations of (vx, vy, r), shape (3,)."""
+
+
+@njit(cache=True)
+def _model(schedule, kappa, tires, disturbance, car, lags, form, method, Ts, Ad, Bd, cd):
+    """Freeze the LPV model in the middle of each interval of the horizon and discretise it."""
+    N = tires.shape[0]
+    A_, B_, c_, G = np.empty((NX, NX)), np.empty((NX, NU)), np.empty(NX), np.empty((NX, NX))
+    middle = np.empty(NX)
+    for k in range(N):
+        for i in range(NX):
+            # Euler is the paper's: frozen at the start of the interval
+            middle[i] = (
+                schedule[k, i] if method == EULER else 0.5 * (schedule[k, i] + schedule[k + 1, i])
+            )
+        curvature = kappa[k] if method == EULER else 0.5 * (kappa[k] + kappa[k + 1])
+        lpv(middle, curvature, tires[k], car, lags, form, A_, B_, c_)
+        for i in range(3):
+            c_[i] += disturbance[i]
+        hold(A_, Ts, method, Ad[k], G)
+        Bd[k] = G @ B_
+        cd[k] = G @ c_
+        if not lags:  # the actuators follow at once
+            Ad[k, DELTA, DELTA], Ad[k, A, A] = 0.0, 0.0
+            Bd[k, DELTA, 0], Bd[k, A, 1] = 1.0, 1.0
+
+
+@njit(cache=True)
+def _references(vx_ref, kappa, tires, disturbance, car, steady, x_ref):
+    """State reference at steps 1..N of the horizon, in place."""
+    N = x_ref.shape[0]
+    for k in range(N):
+        x_ref[k] = 0.0
+        if steady:
+            steady_state(vx_ref[k + 1], kappa[k + 1], tires[k], disturbance, car, x_ref[k])
+        x_ref[k, VX] = vx_ref[k + 1]
+
+
+@njit(cache=True)
+def _bounds(schedule, u_prev, du_max, delta_max, slip_cap, car, ax_min, force, power, m_eff,
+            u_lo, u_hi):  # fmt: skip
+    """Input bounds along the horizon, in place; always reachable within the increment bounds.
+
+    Steering: +-delta_max, and no front slip angle above `slip_cap` along the prediction, since
+    past the tire's peak more steering turns the car less. Acceleration: motor torque and power at
+    the predicted speed, and the brakes.
+    """
+    for k in range(u_lo.shape[0]):
+        vx = max(schedule[k, VX], car.vx_min)
+        flow = np.arctan2(schedule[k, VY] + car.lf * schedule[k, R], vx)
+        u_lo[k, 0] = max(-delta_max, min(flow - slip_cap, delta_max))
+        u_hi[k, 0] = min(delta_max, max(flow + slip_cap, -delta_max))
+        u_lo[k, 1] = ax_min
+        u_hi[k, 1] = min(force, power / vx) / m_eff
+        for m in range(NU):  # what the increment bounds can reach is allowed
+            reach = (k + 1) * du_max[m]
+            u_lo[k, m] = min(u_lo[k, m], u_prev[m] + reach)
+            u_hi[k, m] = max(u_hi[k, m], u_prev[m] - reach)
+
+
+@njit(cache=True)
+def _unpack(z, free, forced, x0, scale, plan, prediction):
+    """Turn a QP solution into the input plan and the predicted states, in place."""
+    N, nx = free.shape
+    for k in range(N):
+        for m in range(NU):
+            plan[k, m] = z[k * NU + m] * scale[m]
+    for i in range(nx):
+        prediction[0, i] = x0[i]
+    for k in range(N):
+        for i in range(nx):
+            value = free[k, i]
+            for a in range((k + 1) * NU):
+                value += forced[k, i, a] * z[a]
+            prediction[k + 1, i] = value
+
+
+@njit(cache=True)
+def _advance(x, x_next, kappa, kappa_next, tires, disturbance, u, car, lags, form, method, Ts, out):
+    """One-period prediction from x, with the model frozen between x and x_next, in place."""
+    A_, B_, c_ = np.empty((NX, NX)), np.empty((NX, NU)), np.empty(NX)
+    Ad, G = np.empty((NX, NX)), np.empty((NX, NX))
+    lpv(0.5 * (x + x_next), 0.5 * (kappa + kappa_next), tires, car, lags, form, A_, B_, c_)
+    hold(A_, Ts, method, Ad, G)
+    observer.predict(Ad, G, B_, c_, x, u, disturbance, out)
+    if not lags:
+        out[DELTA], out[A] = u[0], u[1]
+
+
+class LPVMPC:
+    """Linear parameter-varying model predictive controller on ProxQP.
+
+    A controller as every other: `reset(rng)` and `command(state, preview)`. It never sees the
+    plant; what it knows of the car is `VehicleParams`.
+    """
+
+    name = "lpv-mpc"
+
+    def __init__(
+        self,
+        car: VehicleParams | None = None,
+        *,
+        stiffness: StiffnessModel | None = None,
+        weights: Weights | None = None,
+        formulation: Formulation | None = None,
+        delay: int = 0,
+    ) -> None:
+        """Build the controller.
+
+        Args:
+            car: Vehicle parameters; the packaged car by default.
+            stiffness: Model of the axle forces; constant nominal stiffness by default.
+            weights: Cost weights; the shipped ones by default.
+            formulation: Parts of the controller; the full one by default.
+            delay: Known delay between command and effect [periods], compensated by prediction.
+
+        Raises:
+            OptionError: A value outside its domain.
+        """
+        if not (isinstance(delay, int) and 0 <= delay <= 30):
+            raise OptionError("delay", delay, "a whole number of periods from 0 to 30")
+        self.car = car if car is not None else VehicleParams.load()
+        self.stiffness = stiffness if stiffness is not None else ConstantStiffness(self.car)
+        self.weights = weights if weights is not None else Weights()
+        self.formulation = formulation if formulation is not None else Formulation()
+        self.delay = delay
+        self.Np, self.Ts = self.formulation.Np, self.formulation.Ts
+        self.bicycle = Bicycle.of(self.car)
+        self._allocate()
+        self.reset(np.random.default_rng(0))
+
+    @property
+    def preview_steps(self) -> int:
+        """Periods of preview needed: the horizon, and the delay before it begins."""
+        return self.Np + self.delay
+
+    def reset(self, rng: np.random.Generator) -> None:
+        """Forget the run so far. The controller is deterministic: `rng` is not used."""
+        self.stiffness.reset()
+        self.solver.reset()
+        self.disturbance = np.zeros(3)
+        self.diagnostics = Diagnostics()
+        self._started = False
+        self._refused = 0
+
+    def command(self, state: State, preview: Preview) -> Command:
+        """Command of one control period.
+
+        Args:
+            state: The car's state now.
+            preview: Reference over at least `preview_steps` periods.
+
+        Returns:
+            Steering angle [rad] and acceleration [m/s2], within the hard bounds.
+        """
+        start = time.thread_time_ns()
+        x = np.array([state.vx, state.vy, state.r, preview.ey, preview.epsi, state.delta, 0.0])
+        if self._started:
+            self._observe(x, preview.kappa[0])
+        else:
+            self._begin(x, state, preview)
+        self._x_last[:] = x
+        self._kappa_last = preview.kappa[0]
+        x0 = self._over_delay(x, preview.kappa)
+        self._build(x0, state, preview)
+        built = time.thread_time_ns()
+        result = self.solver.solve(self._H, self._g, self._C, self._lo, self._hi)
+        if result.solved:
+            _unpack(result.z, self._free, self._forced, x0, SCALE, self._plan, self._prediction)
+            self._refused, fallback = 0, ""
+        else:
+            fallback = self._fall_back()
+        u = self._plan[0]
+        command = Command(float(u[0]), float(u[1]))
+        self._queue[:-1] = self._queue[1:]
+        self._queue[-1] = u
+        self._shift(x0)
+        self.diagnostics = Diagnostics(
+            result.solved,
+            fallback,
+            result.status,
+            result.residual,
+            (built - start) * 1e-3,
+            result.solve_us,
+            result.check_us,
+            self._prediction[:, :5].copy(),
+            self.disturbance.copy(),
+        )
+        return command
+
+    # one period, step by step -------------------------------------------------------------
+
+    def _begin(self, x: Array, state: State, preview: Preview) -> None:
+        """First period: assume the car is in a steady state, as an accelerometer would say."""
+        form = self.formulation
+        schedule = self._schedule
+        schedule[:] = x
+        schedule[:, VX] = np.maximum(preview.vx_ref[: self.Np + 1], self.car.vx_min)
+        self.stiffness.horizon(state, schedule, self._tires)
+        dx = derivative(x, np.zeros(NU), preview.kappa[0], self._tires[0], self.bicycle)
+        x[A] = state.ax + state.r * state.vy - dx[VX]  # x[A] was 0: what holds vx' as measured
+        self._a = x[A]
+        if form.observer:
+            self.disturbance[VY] = state.ay - (dx[VY] + state.r * max(state.vx, self.car.vx_min))
+            self.disturbance[R] = -dx[R]
+        u = np.array([state.delta, x[A]])
+        self._queue[:] = u
+        self._plan[:] = u
+        schedule[:, DELTA], schedule[:, A] = u
+        self._started = True
+
+    def _observe(self, x: Array, kappa: float) -> None:
+        """Compare the measured state with what the model expected for it."""
+        form, predicted = self.formulation, self._predicted
+        applied = self._queue[0]
+        _advance(
+            self._x_last, x, self._kappa_last, kappa, self._tires[0], self.disturbance, applied,
+            self.bicycle, form.lags, self._form, self._method, self.Ts, predicted,
+        )  # fmt: skip
+        self._a = predicted[A]
+        x[A] = self._a
+        if form.observer:
+            observer.update(
+                self.disturbance, predicted, x, self._gain, observer.LIMIT, self.Ts
+            )
+
+    def _over_delay(self, x: Array, kappa: Array) -> Array:
+        """State at which the command computed now takes effect."""
+        form = self.formulation
+        for i in range(self.delay):
+            ahead = np.empty(NX)
+            _advance(
+                x, x, kappa[i], kappa[i + 1], self._tires[0], self.disturbance,
+                self._queue[i + 1], self.bicycle, form.lags, self._form, self._method, self.Ts,
+                ahead,
+            )  # fmt: skip
+            x = ahead
+        return x
+
+    def _build(self, x0: Array, state: State, preview: Preview) -> None:
+        """Adapt, discretise, and write the QP."""
+        form, w, car, d = self.formulation, self.weights, self.car, self.delay
+        schedule, tires = self._schedule, self._tires
+        schedule[0] = x0
+        kappa, vx_ref = preview.kappa[d:], preview.vx_ref[d:]
+        self.stiffness.horizon(state, schedule, tires)
+        _model(
+            schedule, kappa, tires, self.disturbance, self.bicycle, form.lags, self._form,
+            self._method, self.Ts, self._Ad, self._Bd, self._cd,
+        )  # fmt: skip
+        _references(
+            vx_ref, kappa, tires, self.disturbance, self.bicycle, form.reference == "steady",
+            self._x_ref,
+        )  # fmt: skip
+        _bounds(
+            schedule, self._queue[-1], self._du_max, self._delta_max,
+            w.slip_cap if form.slip_cap else np.pi, self.bicycle, car.ax_min, car.F_drive_max,
+            car.P_drive_max, car.m_eff, self._u_lo, self._u_hi,
+        )  # fmt: skip
+        condense(
+            self._Ad, self._Bd, self._cd, x0, self._x_ref, self._q, self._r, self._queue[-1],
+            self._u_lo, self._u_hi, self._du_max, EY, EY_MAX, SLACK_WEIGHTS, SCALE, self._H,
+            self._g, self._C, self._lo, self._hi, self._free, self._forced,
+        )  # fmt: skip
+
+    def _fall_back(self) -> str:
+        """A refused solve: keep to the previous plan, already shifted; after three, brake."""
+        self._refused += 1
+        if self._refused <= 3:
+            return "shifted"
+        self._plan[:, 1] = BRAKING
+        return "braking"
+
+    def _shift(self, x0: Array) -> None:
+        """Make this period's plan and prediction the next one's schedule and fallback."""
+        self._prediction[0] = x0
+        self._schedule[:-1] = self._prediction[1:]
+        self._schedule[-1] = self._prediction[-1]
+        self._plan_next[:-1] = self._plan[1:]
+        self._plan_next[-1] = self._plan[-1]
+        self._plan, self._plan_next = self._plan_next, self._plan
+
+    def _allocate(self) -> None:
+        """Arrays that every period reuses, and numbers that never change."""
+        form, w, car = self.formulation, self.weights, self.car
+        N, n = form.Np, form.Np * NU + 1
+        m = n_rows(N, NU)
+        self.solver = QPSolver(n, m)
+        self._H, self._g, self._C = np.zeros((n, n)), np.zeros(n), np.zeros((m, n))
+        self._lo, self._hi = np.zeros(m), np.zeros(m)
+        self._free, self._forced = np.zeros((N, NX)), np.zeros((N, NX, N * NU))
+        self._Ad, self._Bd = np.zeros((N, NX, NX)), np.zeros((N, NX, NU))
+        self._cd, self._x_ref = np.zeros((N, NX)), np.zeros((N, NX))
+        self._tires = np.zeros((N, 4))
+        self._schedule, self._prediction = np.zeros((N + 1, NX)), np.zeros((N + 1, NX))
+        self._plan, self._plan_next = np.zeros((N, NU)), np.zeros((N, NU))
+        self._u_lo, self._u_hi = np.zeros((N, NU)), np.zeros((N, NU))
+        self._queue = np.zeros((self.delay + 1, NU))
+        self._x_last, self._predicted = np.zeros(NX), np.zeros(NX)
+        self._kappa_last, self._a = 0.0, 0.0
+        self._form = CORRECTED if form.matrices == "corrected" else PRINTED
+        self._method = EXACT if form.hold == "exact" else EULER
+        self._gain = np.full(3, w.observer_gain)
+        self._q = np.zeros((N, NX))
+        for i, name in enumerate(("vx", "vy", "r", "ey", "epsi")):
+            self._q[:, i] = getattr(w, f"q_{name}") / UNITS[name] ** 2 * self.Ts
+        self._q[-1] *= w.terminal
+        self._r = np.array(
+            [w.r_delta / UNITS["delta"] ** 2 / self.Ts, w.r_ax / UNITS["ax"] ** 2 / self.Ts]
+        )
+        step = min(DELTA_STEP_PAPER, car.delta_rate_max * self.Ts)
+        self._du_max = np.array([step, 2.0 * abs(car.ax_min)])
+        self._delta_max = min(DELTA_MAX_PAPER, car.delta_max)

@@ -1,0 +1,321 @@
+"""The condensed quadratic program of a linear tracking MPC, and ProxQP solving it.
+
+Knows nothing of cars: a time-varying affine system x+ = Ad x + Bd u + cd, diagonal weights on
+states and on input increments, hard bounds on inputs and increments, and one soft bound on one
+state, relaxed by a single slack. The decision vector is z = (u_0, ..., u_{N-1}, slack), with
+inputs divided by `scale` so that all entries are of order one.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+import proxsuite
+from numba import njit
+
+from lpvmpc.errors import OptionError
+from lpvmpc.vehicle import Array
+
+
+def n_rows(N: int, nu: int) -> int:
+    """Number of constraint rows: inputs, increments, soft bound on both sides, slack."""
+    return 2 * N * nu + 2 * N + 1
+
+
+@njit(cache=True)
+def condense(
+    Ad, Bd, cd, x0, x_ref, q, r_du, u_prev, u_lo, u_hi, du_max, soft, soft_bound, slack_weights,
+    scale, H, g, C, lo, hi, free, forced,
+):  # fmt: skip
+    """Write the QP  min 0.5 z'Hz + g'z  s.t.  lo <= Cz <= hi  of one control period, in place.
+
+    sum_{k=1..N} |x_k - x_ref_k|^2_q + sum_{k=0..N-1} |u_k - u_{k-1}|^2_r
+        + slack_weights[0] slack + slack_weights[1] slack^2
+
+    Rows in order: inputs (N nu), increments (N nu), upper soft bound (N), lower soft bound (N),
+    slack >= 0 (1).
+
+    Args:
+        Ad: Transition matrices, shape (N, nx, nx).
+        Bd: Input matrices, shape (N, nx, nu).
+        cd: Constant terms, shape (N, nx).
+        x0: State now, shape (nx,).
+        x_ref: Reference at steps 1..N, shape (N, nx).
+        q: Diagonal state weights at steps 1..N, shape (N, nx).
+        r_du: Diagonal weights of the increments, shape (nu,).
+        u_prev: Input applied in the period before, shape (nu,).
+        u_lo: Lower input bounds, shape (N, nu).
+        u_hi: Upper input bounds, shape (N, nu).
+        du_max: Largest increment, shape (nu,).
+        soft: Index of the softly bounded state.
+        soft_bound: Its bound: |x[soft]| <= soft_bound + slack.
+        slack_weights: Linear and quadratic penalty of the slack, shape (2,).
+        scale: Unit of each input in z, shape (nu,).
+        H: Receives the Hessian, shape (n, n) with n = N nu + 1.
+        g: Receives the gradient, shape (n,).
+        C: Receives the constraint matrix, shape (n_rows, n).
+        lo: Receives the lower bounds, shape (n_rows,).
+        hi: Receives the upper bounds, shape (n_rows,).
+        free: Receives the free response x_1..x_N, shape (N, nx).
+        forced: Receives the forced response d x_k / d z, shape (N, nx, N nu).
+
+    Source: Maciejowski, Predictive Control with Constraints, chapter 3.
+    """
+    N, nx, nu = Bd.shape
+    n = N * nu + 1
+    forced[:] = 0.0
+    # responses of the states to x0 and to each input
+    for k in range(N):
+        for i in range(nx):
+            value = cd[k, i]
+            for j in range(nx):
+                value += Ad[k, i, j] * (x0[j] if k == 0 else free[k - 1, j])
+            free[k, i] = value
+            for m in range(nu):
+                forced[k, i, k * nu + m] = Bd[k, i, m] * scale[m]
+            if k > 0:
+                for j in range(nx):
+                    a = Ad[k, i, j]
+                    if a != 0.0:
+                        for col in range(k * nu):
+                            forced[k, i, col] += a * forced[k - 1, j, col]
+    # cost
+    H[:] = 0.0
+    g[:] = 0.0
+    for k in range(N):
+        for i in range(nx):
+            w = q[k, i]
+            if w == 0.0:
+                continue
+            error = free[k, i] - x_ref[k, i]
+            for a in range((k + 1) * nu):
+                fa = w * forced[k, i, a]
+                g[a] += 2.0 * fa * error
+                for b in range(a + 1):
+                    H[a, b] += 2.0 * fa * forced[k, i, b]
+    for k in range(N):
+        for m in range(nu):
+            a = k * nu + m
+            w = 2.0 * r_du[m] * scale[m] ** 2
+            H[a, a] += w
+            if k == 0:
+                g[a] -= w * u_prev[m] / scale[m]
+            else:
+                H[a - nu, a - nu] += w
+                H[a, a - nu] -= w
+    for a in range(n):
+        for b in range(a):
+            H[b, a] = H[a, b]
+    g[n - 1] = slack_weights[0]
+    H[n - 1, n - 1] = 2.0 * slack_weights[1]
+    # constraints
+    C[:] = 0.0
+    rate = N * nu
+    upper = 2 * N * nu
+    lower = upper + N
+    for k in range(N):
+        for m in range(nu):
+            a = k * nu + m
+            C[a, a] = 1.0
+            lo[a] = u_lo[k, m] / scale[m]
+            hi[a] = u_hi[k, m] / scale[m]
+            C[rate + a, a] = 1.0
+            lo[rate + a] = -du_max[m] / scale[m]
+            hi[rate + a] = du_max[m] / scale[m]
+            if k == 0:
+                lo[rate + a] += u_prev[m] / scale[m]
+                hi[rate + a] += u_prev[m] / scale[m]
+            else:
+                C[rate + a, a - nu] = -1.0
+        for a in range((k + 1) * nu):
+            C[upper + k, a] = forced[k, soft, a]
+            C[lower + k, a] = forced[k, soft, a]
+        C[upper + k, n - 1] = -1.0
+        C[lower + k, n - 1] = 1.0
+        lo[upper + k] = -np.inf
+        hi[upper + k] = soft_bound - free[k, soft]
+        lo[lower + k] = -soft_bound - free[k, soft]
+        hi[lower + k] = np.inf
+    C[lower + N, n - 1] = 1.0
+    lo[lower + N] = 0.0
+    hi[lower + N] = np.inf
+
+
+@njit(cache=True)
+def kkt_residual(H, g, C, lo, hi, z, y):
+    """Largest violation of the optimality conditions of  min 0.5 z'Hz + g'z, lo <= Cz <= hi.
+
+    The largest of |Hz + g + C'y|, the bound violation, wrong-signed multipliers on one-sided
+    rows, and complementarity |y| min(1, slack of the bound that y belongs to): y > 0 belongs to
+    the upper bound. Dual quantities are relative to 1 + |g|.
+
+    Args:
+        H: Hessian, shape (n, n).
+        g: Gradient, shape (n,).
+        C: Constraint matrix, shape (m, n).
+        lo: Lower bounds, shape (m,).
+        hi: Upper bounds, shape (m,).
+        z: Primal solution, shape (n,).
+        y: Multipliers, shape (m,).
+
+    Returns:
+        The residual [-]; NaN if anything in z or y is.
+    """
+    n, m = g.shape[0], lo.shape[0]
+    dual = np.empty(n)
+    size = 1.0
+    for a in range(n):
+        dual[a] = g[a]
+        size = max(size, 1.0 + abs(g[a]))
+        for b in range(n):
+            dual[a] += H[a, b] * z[b]
+    worst = 0.0
+    for i in range(m):
+        value = 0.0
+        for a in range(n):
+            c = C[i, a]
+            if c != 0.0:
+                value += c * z[a]
+                dual[a] += c * y[i]
+        violation = max(lo[i] - value, value - hi[i])
+        if not violation <= worst:
+            worst = max(violation, 0.0) if violation == violation else np.nan
+        if y[i] > 0.0:
+            gap = hi[i] - value
+        else:
+            gap = value - lo[i]
+        product = abs(y[i]) * min(1.0, abs(gap)) / size
+        if not product <= worst:
+            worst = product
+    for a in range(n):
+        residual = abs(dual[a]) / size
+        if not residual <= worst:
+            worst = residual
+    return worst
+
+
+@njit(cache=True)
+def all_finite(H, g, C, lo, hi):
+    """Whether a QP can be handed to a solver: no NaN anywhere, no infinity but in the bounds."""
+    return (
+        np.isfinite(H.sum() + g.sum() + C.sum())
+        and not np.isnan(lo).any()
+        and not np.isnan(hi).any()
+        and not (lo == np.inf).any()
+        and not (hi == -np.inf).any()
+    )
+
+
+@dataclass
+class QPResult:
+    """Outcome of one solve; `z` is meaningful only when `solved` is true."""
+
+    z: Array
+    """Solution, shape (n,)."""
+    solved: bool
+    """ProxQP said SOLVED and our own optimality check agrees."""
+    status: str
+    """ProxQP's status, `NOT_FINITE` when it was not asked, or `WRONG` when our check refuses."""
+    residual: float
+    """KKT residual from `kkt_residual` [-]; NaN when there is no solution."""
+    solve_us: float
+    """Thread CPU time in ProxQP [us]."""
+    check_us: float
+    """Thread CPU time in the two checks [us]."""
+
+
+class QPSolver:
+    """One ProxQP object for a sequence of QPs of one size.
+
+    ProxQP's status is not trusted alone: its duality gap is a signed sum that can cancel, so every
+    solution passes `kkt_residual`. Data that are not finite are refused before the call, since
+    they would poison the object. Each solve starts from the equality-constrained guess: warm
+    starts give wrong answers now and then, and make a result depend on its history.
+
+    Source: Bambade et al., PROX-QP, RSS 2022.
+    """
+
+    def __init__(self, n: int, m: int, tolerance: float = 1e-6, max_iter: int = 100) -> None:
+        """Args: number of variables and rows, KKT tolerance, and the iteration limit."""
+        if not (np.isfinite(tolerance) and 0.0 < tolerance < 1.0):
+            raise OptionError("QP tolerance", tolerance, "a number between 0 and 1")
+        if max_iter < 1:
+            raise OptionError("QP max_iter", max_iter, "at least 1")
+        self.n, self.m, self.tolerance, self.max_iter = n, m, tolerance, max_iter
+        self._prox: proxsuite.proxqp.dense.QP | None = None
+
+    def reset(self) -> None:
+        """Forget the solver's history, so that the next solve depends on its data alone."""
+        self._prox = None
+
+    def solve(self, H: Array, g: Array, C: Array, lo: Array, hi: Array) -> QPResult:
+        """Solve  min 0.5 z'Hz + g'z  s.t.  lo <= Cz <= hi.
+
+        Args:
+            H: Hessian, shape (n, n), symmetric positive definite.
+            g: Gradient, shape (n,).
+            C: Constraint matrix, shape (m, n).
+            lo: Lower bounds, shape (m,), -inf allowed.
+            hi: Upper bounds, shape (m,), inf allowed.
+
+        Returns:
+            The result; never raises for a solver that does not finish.
+        """
+        start = time.thread_time_ns()
+        if not all_finite(H, g, C, lo, hi):
+            self._prox = None
+            nothing = np.full(self.n, np.nan)
+            spent = (time.thread_time_ns() - start) * 1e-3
+            return QPResult(nothing, False, "NOT_FINITE", np.nan, 0.0, spent)
+        checked = time.thread_time_ns()
+        if self._prox is None:
+            self._prox = self._new_solver()
+            self._prox.init(H=H, g=g, C=C, l=lo, u=hi)
+        else:
+            self._prox.update(H=H, g=g, C=C, l=lo, u=hi)
+        self._prox.solve()
+        solved = time.thread_time_ns()
+        results = self._prox.results
+        status = results.info.status
+        z = np.array(results.x)
+        residual = kkt_residual(H, g, C, lo, hi, z, np.array(results.z))
+        good = status == proxsuite.proxqp.PROXQP_SOLVED
+        name = str(status).rsplit(".", 1)[-1].removeprefix("PROXQP_")
+        if good and not residual <= self.tolerance:
+            good, name = False, "WRONG"
+        if not good:
+            self._prox = None
+        done = time.thread_time_ns()
+        return QPResult(
+            z,
+            good,
+            name,
+            float(residual),
+            (solved - checked) * 1e-3,
+            (checked - start + done - solved) * 1e-3,
+        )
+
+    def _new_solver(self) -> proxsuite.proxqp.dense.QP:
+        prox = proxsuite.proxqp.dense.QP(
+            self.n,
+            0,
+            self.m,
+            False,
+            proxsuite.proxqp.dense.HessianType.Dense,
+            proxsuite.proxqp.dense.DenseBackend.PrimalDualLDLT,
+        )
+        settings = prox.settings
+        guess = proxsuite.proxqp.InitialGuess.EQUALITY_CONSTRAINED_INITIAL_GUESS
+        settings.initial_guess = guess
+        # ProxQP's own accuracy is set well below ours: its norms are scaled, ours are not
+        settings.eps_abs = 1e-2 * self.tolerance
+        settings.eps_rel = 0.0
+        settings.check_duality_gap = True
+        settings.eps_duality_gap_abs = self.tolerance
+        settings.eps_duality_gap_rel = 0.0
+        settings.default_mu_in = 1e-2
+        settings.max_iter = self.max_iter
+        settings.max_iter_in = self.max_iter
+        return prox
