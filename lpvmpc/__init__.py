@@ -20,10 +20,11 @@ if TYPE_CHECKING:
     from lpvmpc.controllers import CONTROLLERS, load_controller
     from lpvmpc.errors import LPVMPCError
     from lpvmpc.mpc import LPVMPC
-    from lpvmpc.path import Path, Preview, SpeedProfile
+    from lpvmpc.path import Path, Preview
     from lpvmpc.plant import Plant
     from lpvmpc.scenario import SCENARIOS, Scenario, load_scenario
     from lpvmpc.simulation import Log, simulate
+    from lpvmpc.speed_profile import SpeedProfile
     from lpvmpc.vehicle import Command, State, VehicleParams
     from lpvmpc.wind import Wind
 
@@ -40,7 +41,7 @@ _HOME = {
     "Preview": "path",
     "SCENARIOS": "scenario",
     "Scenario": "scenario",
-    "SpeedProfile": "path",
+    "SpeedProfile": "speed_profile",
     "State": "vehicle",
     "VehicleParams": "vehicle",
     "Wind": "wind",

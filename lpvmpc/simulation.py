@@ -1,0 +1,273 @@
+"""The closed loop: plant, controller and scenario, one control period after the other.
+
+At every control instant the true state of the car is projected on the path and previewed, the
+controller commands, and all of it is recorded; then the plant moves on by one period under the wind
+and the friction of the place where it is. The controller is told neither.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import asdict, is_dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lpvmpc.controllers import Controller, TimeLimit, checked_command
+from lpvmpc.errors import OptionError
+from lpvmpc.log import FALLBACKS, MOTION, Log, Recorder
+from lpvmpc.vehicle import Command, State
+
+if TYPE_CHECKING:
+    from lpvmpc.path import Preview
+    from lpvmpc.plant import Plant
+    from lpvmpc.scenario import Scenario
+
+EY_LOST = 5.0
+"""A car further than this from the path has lost it [m]."""
+EPSI_LOST = math.pi / 2.0
+"""A car turned further than this from the path has lost it [rad]."""
+STUCK_SPEED = 0.5
+"""A car slower than this, against a faster reference, stands [m/s]."""
+STUCK_TIME = 3.0
+"""Time for which it must stand to count as stuck [s]."""
+TIME_FACTOR = 2.0
+"""A run of more than this many times the reference's duration is given up."""
+MAX_DELAY = 30
+"""Longest delay of the commands [control periods], one second."""
+
+COMMAND = slice(MOTION.index("delta_cmd_rad"), MOTION.index("ax_cmd_mps2") + 1)
+Progress = Callable[[float], None]
+
+
+def simulate(
+    plant: Plant,
+    controller: Controller,
+    scenario: Scenario,
+    *,
+    seed: int = 0,
+    delay: int = 0,
+    step_timeout: float | None = None,
+    progress: Progress | None = None,
+    name: str | None = None,
+    options: dict[str, Any] | None = None,
+) -> Log:
+    """Drive a scenario from its start to its end, or until the car is lost.
+
+    The car starts trimmed on the reference: at its speed, curvature and wind, everything settled.
+    A closed track is driven for one whole lap. Ctrl-C ends the run early; the Log then holds what
+    was recorded until then, with `meta["reason"] == "interrupted"`.
+
+    Args:
+        plant: The car; reset here, its friction set from the scenario.
+        controller: Anything with `reset(rng)` and `command(state, preview)`; see `controllers`.
+        scenario: Path, speed, wind and friction.
+        seed: Seed of the generator given to the controller.
+        delay: Number of control periods after which a command reaches the car, 0 to `MAX_DELAY`;
+            until then it holds the trimmed command.
+        step_timeout: Longest wall-clock time of one call of the controller [s]; None: no limit.
+        progress: Called at every control instant with the driven fraction of the path.
+        name: Name of the controller in results (default: its attribute `name`, else its class).
+        options: Further options to record in the trace.
+
+    Returns:
+        The Log; `meta` says whether the run completed, and why not.
+
+    Raises:
+        OptionError: An option outside its domain, or a controller of another control period.
+        ControllerError: The controller raised, hung, or returned something that is no command.
+    """
+    if type(seed) is not int or seed < 0:
+        raise OptionError("seed", seed, "a whole number from 0")
+    if type(delay) is not int or not 0 <= delay <= MAX_DELAY:
+        raise OptionError("delay", delay, f"a whole number from 0 to {MAX_DELAY}")
+    if step_timeout is not None and not (math.isfinite(step_timeout) and step_timeout > 0.0):
+        raise OptionError("step_timeout", step_timeout, "a positive number of seconds")
+    Ts = plant.Ts
+    if not math.isclose(getattr(controller, "Ts", Ts), Ts, rel_tol=1e-9):
+        raise OptionError("controller Ts", getattr(controller, "Ts", None), f"the plant's, {Ts} s")
+    name = name or str(getattr(controller, "name", type(controller).__name__))
+    loop = _Loop(plant, controller, scenario, name, delay, step_timeout)
+    wall = time.perf_counter()
+    try:
+        with loop.limit.installed():
+            reason = loop.run(seed, progress)
+    except KeyboardInterrupt:
+        reason = "interrupted"
+    wall = time.perf_counter() - wall
+    meta = loop.meta(reason, wall)
+    meta.update(seed=seed, options={"delay": delay, **(options or {})})
+    weights = getattr(controller, "weights", {})
+    weights = asdict(weights) if is_dataclass(weights) else dict(weights)
+    return loop.recorder.log(meta, scenario, weights)
+
+
+class _Loop:
+    """State of one running simulation."""
+
+    def __init__(
+        self,
+        plant: Plant,
+        controller: Controller,
+        scenario: Scenario,
+        name: str,
+        delay: int,
+        step_timeout: float | None,
+    ):
+        self.plant, self.controller, self.scenario, self.name = plant, controller, scenario, name
+        self.limit = TimeLimit(step_timeout, name)
+        self.delay = delay
+        self.Np = int(getattr(controller, "Np", 10))
+        self.preview_steps = int(getattr(controller, "preview_steps", self.Np))
+        self.time_limit = TIME_FACTOR * scenario.reference_duration
+        rows = math.ceil(self.time_limit / plant.Ts) + 2
+        self.recorder = Recorder(rows, self.Np, len(plant.qpos))
+        self.grip = np.array(plant.friction, dtype=float)  # of the plant itself, scalar or (4,)
+        self.friction = np.ones(4)  # of the road under the wheels
+        self.has_qp = False
+        self.s_end = self.duration = 0.0
+
+    def run(self, seed: int, progress: Progress | None) -> str:
+        """Drive; returns why the run ended early, "" at the end of the path."""
+        plant, scenario, controller = self.plant, self.scenario, self.controller
+        path, Ts, length = scenario.path, plant.Ts, scenario.path.length
+        state = self._start()
+        self.limit.call("reset", 0.0, controller.reset, np.random.default_rng(seed))
+        queue = deque([plant.trim_command] * self.delay)
+        observe = getattr(controller, "observe", None)
+        s, stuck, k = 0.0, 0, 0
+        while True:
+            t, s_before = k * Ts, s
+            preview = path.preview(
+                state.x, state.y, state.psi, s, scenario.speed, self.preview_steps, Ts
+            )
+            s = preview.s
+            if s >= length:  # the end lies between the last instant and this one
+                self.s_end = length
+                self.duration = t - Ts * (s - length) / (s - s_before)
+                return ""
+            self.s_end, self.duration = s, t
+            standing = state.vx < STUCK_SPEED < preview.vx_ref[0]
+            stuck = stuck + 1 if standing else 0
+            reason = self._lost(preview.ey, preview.epsi, t, stuck * Ts)
+            wind_speed = scenario.wind.speed(t, s)
+            if reason:  # this instant counts, with the command that led to it
+                last = self.recorder.motion[k - 1] if k else None
+                held = Command(*last[COMMAND]) if last is not None else plant.trim_command
+                self._record(t, state, preview, held, wind_speed, None)
+                return reason
+            if observe is not None:
+                observe(plant.axles)
+            cpu = time.thread_time_ns()
+            answer = self.limit.call("command", t, controller.command, state, preview)
+            cpu = time.thread_time_ns() - cpu
+            command = checked_command(answer, self.name, t)
+            self._record(t, state, preview, command, wind_speed, cpu * 1e-3)
+            if progress is not None:
+                progress(s / length)
+            if self.delay:
+                queue.append(command)
+                command = queue.popleft()
+            if scenario.friction is not None:
+                self._lay_road(s)
+            state = plant.step(command, wind=scenario.wind.velocity(t, s, preview.psi[0]))
+            k += 1
+
+    def meta(self, reason: str, wall_s: float) -> dict[str, Any]:
+        """What is recorded beside the columns."""
+        from lpvmpc.report import versions
+
+        stiffness = getattr(self.controller, "stiffness", None)
+        return {
+            "scenario": self.scenario.name,
+            "controller": self.name,
+            "stiffness": getattr(stiffness, "name", None),
+            "Ts": self.plant.Ts,
+            "Np": self.Np,
+            "completed": not reason,
+            "reason": reason,
+            "s_end_m": self.s_end,
+            "duration_s": self.duration,
+            "reference_duration_s": self.scenario.reference_duration,
+            "has_qp": self.has_qp,
+            "wall_s": wall_s,
+            "realtime_factor": self.duration / wall_s,
+            "versions": versions(),
+            "model_sha256": self.plant.model_sha256,
+        }
+
+    def _start(self) -> State:
+        """The car on the start line, trimmed at the reference's speed, curvature and wind."""
+        scenario = self.scenario
+        x, y, psi, kappa = (float(value) for value in scenario.path.at(0.0))
+        if scenario.friction is not None:
+            self._lay_road(0.0)
+        wind = scenario.wind.velocity(0.0, 0.0, psi)
+        vx = float(scenario.speed.at(0.0))
+        return self.plant.reset(x, y, psi, vx, kappa=kappa, wind=wind, trim=True)
+
+    def _lay_road(self, s: float) -> None:
+        """Friction of the road under each wheel, where the car is at arc length s [m]."""
+        car = self.plant.params
+        front, rear = self.scenario.friction(s + car.lf), self.scenario.friction(s - car.lr)
+        if front != self.friction[0] or rear != self.friction[2]:
+            self.friction[:2], self.friction[2:] = front, rear
+            self.plant.friction = self.grip * self.friction
+
+    def _lost(self, ey: float, epsi: float, t: float, stood: float) -> str:
+        """Why the run cannot go on, or "". Written so that NaN counts as lost."""
+        if not (math.isfinite(ey) and math.isfinite(epsi)):
+            return "the plant's state is not finite"
+        if abs(ey) > EY_LOST:
+            return f"off the path: |ey| > {EY_LOST:g} m"
+        if abs(epsi) > EPSI_LOST:
+            return "spun: |epsi| > pi/2"
+        if self.plant.rolled_over:
+            return "rolled over"
+        if stood >= STUCK_TIME:
+            return f"stuck: vx < {STUCK_SPEED:g} m/s for {STUCK_TIME:g} s"
+        if t > self.time_limit:
+            return f"too slow: {TIME_FACTOR:g} times the reference's time"
+        return ""
+
+    def _record(
+        self,
+        t: float,
+        state: State,
+        preview: Preview,
+        command: Command,
+        wind_speed: float,
+        step_us: float | None,
+    ) -> None:
+        """Fill one row; without a step time there was no call of the controller."""
+        log, plant = self.recorder, self.plant
+        k = log.n
+        wheels = plant.wheels
+        block = log.wheels[k]
+        block[0], block[1], block[2] = wheels["Fx"], wheels["Fy"], wheels["Fz"]
+        block[3], block[4] = wheels["slip_ratio"], wheels["slip_angle"]
+        block[5] = plant.params.mu * self.grip * self.friction
+        log.qpos[k] = plant.qpos
+        residual = math.nan
+        diagnostics = getattr(self.controller, "diagnostics", None)
+        if step_us is not None and diagnostics is not None:
+            self.has_qp = True
+            residual = diagnostics.kkt_residual
+            log.solved[k] = diagnostics.solved
+            log.fallback[k] = FALLBACKS.index(diagnostics.fallback)
+            if diagnostics.prediction is not None:
+                log.prediction(preview, diagnostics.prediction)
+            times = diagnostics.build_us, diagnostics.solve_us, diagnostics.check_us
+            log.times[k] = (t, step_us, *times)
+        else:
+            log.times[k] = (t, step_us or 0.0, 0.0, 0.0, 0.0)
+        log.motion[k] = (
+            t, preview.s, state.x, state.y, state.psi, state.vx, state.vy, state.r, state.delta,
+            state.ax, state.ay, preview.ey, preview.epsi, preview.kappa[0], preview.vx_ref[0],
+            preview.x[0], preview.y[0], preview.psi[0], command.delta, command.ax, wind_speed,
+            plant.roll, residual,
+        )  # fmt: skip
+        log.n = k + 1  # last, so that an interrupt never leaves half a row
