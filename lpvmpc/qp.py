@@ -164,48 +164,44 @@ def kkt_residual(H, g, C, lo, hi, z, y):
         The residual [-]; NaN if anything in z or y is.
     """
     n, m = g.shape[0], lo.shape[0]
-    dual = np.empty(n)
-    size = 1.0
-    for a in range(n):
-        dual[a] = g[a]
-        size = max(size, 1.0 + abs(g[a]))
-        for b in range(n):
-            dual[a] += H[a, b] * z[b]
+    dual = g + H @ z + y @ C
+    values = C @ z
+    size = 1.0 + np.abs(g).max()
     worst = 0.0
     for i in range(m):
-        value = 0.0
-        for a in range(n):
-            c = C[i, a]
-            if c != 0.0:
-                value += c * z[a]
-                dual[a] += c * y[i]
-        violation = max(lo[i] - value, value - hi[i])
-        if not violation <= worst:
-            worst = max(violation, 0.0) if violation == violation else np.nan
-        if y[i] > 0.0:
-            gap = hi[i] - value
-        else:
-            gap = value - lo[i]
-        product = abs(y[i]) * min(1.0, abs(gap)) / size
-        if not product <= worst:
-            worst = product
+        violation = max(lo[i] - values[i], values[i] - hi[i])
+        gap = hi[i] - values[i] if y[i] > 0.0 else values[i] - lo[i]
+        worst = _larger(worst, violation)
+        worst = _larger(worst, abs(y[i]) * min(1.0, abs(gap)) / size)
     for a in range(n):
-        residual = abs(dual[a]) / size
-        if not residual <= worst:
-            worst = residual
+        worst = _larger(worst, abs(dual[a]) / size)
     return worst
+
+
+@njit(cache=True)
+def _larger(a, b):
+    """The larger of two numbers; NaN if either is."""
+    if np.isnan(a) or a >= b:
+        return a
+    return b
 
 
 @njit(cache=True)
 def all_finite(H, g, C, lo, hi):
     """Whether a QP can be handed to a solver: no NaN anywhere, no infinity but in the bounds."""
-    return (
-        np.isfinite(H.sum() + g.sum() + C.sum())
-        and not np.isnan(lo).any()
-        and not np.isnan(hi).any()
-        and not (lo == np.inf).any()
-        and not (hi == -np.inf).any()
-    )
+    total = 0.0  # a NaN or an infinity survives any sum
+    for array in (H, C):
+        for value in array.flat:
+            total += abs(value)
+    for value in g:
+        total += abs(value)
+    if not total < np.inf:
+        return False
+    for i in range(len(lo)):
+        # a comparison with NaN is false
+        if not (lo[i] < np.inf and hi[i] > -np.inf):
+            return False
+    return True
 
 
 @dataclass
@@ -224,6 +220,8 @@ class QPResult:
     """Thread CPU time in ProxQP [us]."""
     check_us: float
     """Thread CPU time in the two checks [us]."""
+    iterations: int = 0
+    """ProxQP's inner iterations."""
 
 
 class QPSolver:
@@ -237,7 +235,7 @@ class QPSolver:
     Source: Bambade et al., PROX-QP, RSS 2022.
     """
 
-    def __init__(self, n: int, m: int, tolerance: float = 1e-6, max_iter: int = 100) -> None:
+    def __init__(self, n: int, m: int, tolerance: float = 1e-6, max_iter: int = 50) -> None:
         """Args: number of variables and rows, KKT tolerance, and the iteration limit."""
         if not (np.isfinite(tolerance) and 0.0 < tolerance < 1.0):
             raise OptionError("QP tolerance", tolerance, "a number between 0 and 1")
@@ -295,6 +293,7 @@ class QPSolver:
             float(residual),
             (solved - checked) * 1e-3,
             (checked - start + done - solved) * 1e-3,
+            int(results.info.iter),
         )
 
     def _new_solver(self) -> proxsuite.proxqp.dense.QP:

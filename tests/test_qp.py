@@ -1,0 +1,199 @@
+"""The condensed QP and its solver against independent forms."""
+
+import numpy as np
+import pytest
+from scipy.linalg import solve_discrete_are
+
+from lpvmpc.errors import OptionError
+from lpvmpc.qp import QPSolver, condense, kkt_residual, n_rows
+
+N, NX, NU = 8, 3, 2
+
+
+def problem(seed=0, x0=None, *, u_max=5.0, du_max=1.0, soft_bound=0.5, r=0.1):
+    """A random stable tracking problem as the arguments of `condense`, and the arrays written."""
+    rng = np.random.default_rng(seed)
+    Ad = np.repeat((np.eye(NX) + 0.1 * rng.standard_normal((NX, NX)))[None], N, axis=0)
+    Bd = np.repeat(0.5 * rng.standard_normal((1, NX, NU)), N, axis=0)
+    cd = 0.02 * rng.standard_normal((N, NX))
+    n, m = N * NU + 1, n_rows(N, NU)
+    given = {
+        "Ad": Ad, "Bd": Bd, "cd": cd,
+        "x0": rng.standard_normal(NX) if x0 is None else x0,
+        "x_ref": 0.3 * rng.standard_normal((N, NX)),
+        "q": np.tile([1.0, 0.0, 3.0], (N, 1)),
+        "r_du": np.full(NU, r),
+        "u_prev": 0.1 * rng.standard_normal(NU),
+        "u_lo": np.full((N, NU), -u_max), "u_hi": np.full((N, NU), u_max),
+        "du_max": np.full(NU, du_max),
+        "soft": 0, "soft_bound": soft_bound,
+        "slack_weights": np.array([100.0, 1000.0]),
+        "scale": np.array([0.5, 2.0]),
+    }  # fmt: skip
+    written = {
+        "H": np.empty((n, n)), "g": np.empty(n), "C": np.empty((m, n)),
+        "lo": np.empty(m), "hi": np.empty(m),
+        "free": np.empty((N, NX)), "forced": np.empty((N, NX, N * NU)),
+    }  # fmt: skip
+    condense(*given.values(), *written.values())
+    return given, written
+
+
+def rollout(given, u):
+    """States x_1..x_N by stepping the system."""
+    x, states = given["x0"], []
+    for k in range(N):
+        x = given["Ad"][k] @ x + given["Bd"][k] @ u[k] + given["cd"][k]
+        states.append(x)
+    return np.array(states)
+
+
+def cost(given, u, slack):
+    """The cost as the docstring of `condense` states it."""
+    states = rollout(given, u)
+    du = np.diff(np.vstack([given["u_prev"], u]), axis=0)
+    w = given["slack_weights"]
+    return (
+        (given["q"] * (states - given["x_ref"]) ** 2).sum()
+        + (given["r_du"] * du**2).sum()
+        + w[0] * slack
+        + w[1] * slack**2
+    )
+
+
+def solver(written, **options):
+    return QPSolver(len(written["g"]), len(written["lo"]), **options)
+
+
+def solve(written, **options):
+    arrays = (written[k] for k in ("H", "g", "C", "lo", "hi"))
+    return solver(written, **options).solve(*arrays)
+
+
+def test_condensed_cost_is_the_stated_sum():
+    given, written = problem()
+    rng = np.random.default_rng(5)
+    values = []
+    for _ in range(4):
+        u, slack = rng.standard_normal((N, NU)), rng.uniform()
+        z = np.append((u / given["scale"]).ravel(), slack)
+        values.append(0.5 * z @ written["H"] @ z + written["g"] @ z - cost(given, u, slack))
+    # the QP drops a constant, so the difference is the same for every z
+    np.testing.assert_allclose(values, values[0], rtol=1e-12)
+
+
+def test_condensed_states_are_the_rollout():
+    given, written = problem()
+    u = np.random.default_rng(2).standard_normal((N, NU))
+    states = written["free"] + written["forced"] @ (u / given["scale"]).ravel()
+    np.testing.assert_allclose(states, rollout(given, u), atol=1e-12)
+
+
+def test_bounds_and_rates_are_respected_and_the_soft_bound_gives_way():
+    given, written = problem(x0=np.array([3.0, -1.0, 2.0]), u_max=0.6, du_max=0.2)
+    result = solve(written)
+    assert result.solved
+    u = result.z[:-1].reshape(N, NU) * given["scale"]
+    du = np.diff(np.vstack([given["u_prev"], u]), axis=0)
+    # 1e-6: the accepted KKT residual, in units of the scaled inputs (at most 2)
+    assert np.abs(u).max() <= 0.6 + 2e-6
+    assert np.abs(du).max() <= 0.2 + 2e-6
+    assert result.z[-1] > 0.1  # x0 is far outside the soft bound
+    over = np.abs(rollout(given, u)[:, 0]).max() - given["soft_bound"]
+    assert over <= result.z[-1] + 1e-5
+
+
+def test_returned_solutions_satisfy_the_optimality_conditions():
+    for seed in range(20):
+        _, written = problem(seed, u_max=0.8, du_max=0.2)
+        result = solve(written)
+        assert result.solved, result.status
+        assert result.residual <= 1e-6
+        # independent of our check: no feasible direction improves (random probing)
+        z, H, g = result.z, written["H"], written["g"]
+        best = 0.5 * z @ H @ z + g @ z
+        rng = np.random.default_rng(seed)
+        for _ in range(50):
+            other = z + 0.05 * rng.standard_normal(len(z))
+            values = written["C"] @ other
+            if np.all(values >= written["lo"]) and np.all(values <= written["hi"]):
+                assert 0.5 * other @ H @ other + g @ other >= best - 1e-6
+
+
+def test_without_constraints_the_first_input_is_the_lqr_input():
+    """With the Riccati solution as terminal weight, MPC equals LQR on (x, u_prev)."""
+    rng = np.random.default_rng(3)
+    A, B = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[0.0], [0.1]])
+    # increments as input: augmented state (x, u_prev); diagonal weights need P, so use long N
+    Aa = np.block([[A, B], [np.zeros((1, 2)), np.eye(1)]])
+    Ba = np.vstack([B, np.eye(1)])
+    Q, Rw = np.diag([2.0, 1.0, 0.0]), np.array([[0.5]])
+    P = solve_discrete_are(Aa, Ba, Q + 1e-9 * np.eye(3), Rw)
+    K = np.linalg.solve(Rw + Ba.T @ P @ Ba, Ba.T @ P @ Aa)
+    x0, u_prev, horizon = rng.standard_normal(2), rng.standard_normal(1), 200
+    n, m = horizon + 1, n_rows(horizon, 1)
+    H, g, C = np.empty((n, n)), np.empty(n), np.empty((m, n))
+    lo, hi = np.empty(m), np.empty(m)
+    big = np.full((horizon, 1), 1e6)
+    condense(
+        np.repeat(A[None], horizon, 0), np.repeat(B[None], horizon, 0), np.zeros((horizon, 2)),
+        x0, np.zeros((horizon, 2)), np.tile([2.0, 1.0], (horizon, 1)), np.array([0.5]), u_prev,
+        -big, big, np.array([1e6]), 0, 1e6, np.array([1.0, 1.0]), np.array([1.0]),
+        H, g, C, lo, hi, np.empty((horizon, 2)), np.empty((horizon, 2, horizon)),
+    )  # fmt: skip
+    z = np.linalg.solve(H[:-1, :-1], -g[:-1])
+    # condense sums x_1..x_N and the LQR x_0..: the difference does not depend on u
+    expected = u_prev - K @ np.append(x0, u_prev)
+    assert z[0] == pytest.approx(expected[0], rel=1e-6)  # tail of 200 steps
+
+
+def test_kkt_residual_sees_a_wrong_answer():
+    _, written = problem(u_max=0.8, du_max=0.2)
+    result = solve(written)
+    arrays = tuple(written[k] for k in ("H", "g", "C", "lo", "hi"))
+    wrong = result.z.copy()
+    wrong[0] += 1e-3
+    assert kkt_residual(*arrays, wrong, np.zeros(len(written["lo"]))) > 1e-5
+    assert np.isnan(kkt_residual(*arrays, wrong * np.nan, np.zeros(len(written["lo"]))))
+
+
+@pytest.mark.parametrize("poison", ["H", "g", "C", "lo", "hi"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_data_that_are_not_finite_are_refused_without_asking_the_solver(poison, value):
+    _, written = problem()
+    prox = solver(written)
+    healthy = tuple(written[k].copy() for k in ("H", "g", "C", "lo", "hi"))
+    good = prox.solve(*healthy)
+    if poison == "hi" and value == np.inf:
+        pytest.skip("an infinite upper bound means no bound")
+    written[poison].flat[0] = value
+    refused = prox.solve(*(written[k] for k in ("H", "g", "C", "lo", "hi")))
+    assert not refused.solved
+    assert refused.status == "NOT_FINITE"
+    again = prox.solve(*healthy)
+    np.testing.assert_allclose(again.z, good.z, atol=1e-9)  # not poisoned afterwards
+
+
+def test_an_infeasible_problem_is_refused_within_the_iteration_limit():
+    _, written = problem()
+    written["lo"][0], written["hi"][0] = 3.0, 2.0
+    result = solve(written, max_iter=20)
+    assert not result.solved
+    # outer times inner limit, and the outer ones; unlimited it runs for seconds
+    assert result.iterations <= 20 * 20 + 20
+
+
+def test_the_same_sequence_gives_the_same_bytes():
+    arrays = [tuple(problem(s)[1][k] for k in ("H", "g", "C", "lo", "hi")) for s in range(6)]
+    runs = []
+    for _ in range(2):
+        prox = QPSolver(len(arrays[0][1]), len(arrays[0][3]))
+        runs.append(np.array([prox.solve(*a).z for a in arrays]))
+    assert runs[0].tobytes() == runs[1].tobytes()
+
+
+@pytest.mark.parametrize(("option", "value"), [("tolerance", 0.0), ("tolerance", np.nan),
+                                               ("max_iter", 0)])  # fmt: skip
+def test_impossible_solver_options_are_named(option, value):
+    with pytest.raises(OptionError, match=option):
+        QPSolver(2, 2, **{option: value})
