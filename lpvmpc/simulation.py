@@ -126,6 +126,7 @@ class _Loop:
         rows = math.ceil(self.time_limit / plant.Ts) + 2
         self.recorder = Recorder(rows, self.Np, len(plant.qpos))
         self.grip = np.array(plant.friction, dtype=float)  # of the plant itself, scalar or (4,)
+        self.road_friction = getattr(scenario, "friction", None)
         self.friction = np.ones(4)  # of the road under the wheels
         self.has_qp = False
         self.s_end = self.duration = 0.0
@@ -171,7 +172,7 @@ class _Loop:
             if self.delay:
                 queue.append(command)
                 command = queue.popleft()
-            if scenario.friction is not None:
+            if self.road_friction is not None:
                 self._lay_road(s)
             state = plant.step(command, wind=scenario.wind.velocity(t, s, preview.psi[0]))
             k += 1
@@ -203,7 +204,7 @@ class _Loop:
         """The car on the start line, trimmed at the reference's speed, curvature and wind."""
         scenario = self.scenario
         x, y, psi, kappa = (float(value) for value in scenario.path.at(0.0))
-        if scenario.friction is not None:
+        if self.road_friction is not None:
             self._lay_road(0.0)
         wind = scenario.wind.velocity(0.0, 0.0, psi)
         vx = float(scenario.speed.at(0.0))
@@ -212,7 +213,7 @@ class _Loop:
     def _lay_road(self, s: float) -> None:
         """Friction of the road under each wheel, where the car is at arc length s [m]."""
         car = self.plant.params
-        front, rear = self.scenario.friction(s + car.lf), self.scenario.friction(s - car.lr)
+        front, rear = self.road_friction(s + car.lf), self.road_friction(s - car.lr)
         if front != self.friction[0] or rear != self.friction[2]:
             self.friction[:2], self.friction[2:] = front, rear
             self.plant.friction = self.grip * self.friction

@@ -1,0 +1,302 @@
+"""Drive a scenario with a controller: table, metrics, trace, figures and video.
+
+    python eval/track.py --scenario paper --render
+
+Exit codes: 0 done; 2 bad input, one line on stderr; 3 the car did not complete the scenario;
+130 interrupted, with what was measured until then saved.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from lpvmpc import cli
+from lpvmpc.errors import LPVMPCError, OutputError, RenderError
+from lpvmpc.log import write_json
+from lpvmpc.report import commit, machine
+
+if TYPE_CHECKING:
+    from lpvmpc.log import Log
+    from lpvmpc.plant import Plant
+
+Number = Annotated[float | None, tyro.conf.arg(metavar="FLOAT")]
+File = Annotated[Path | None, tyro.conf.arg(metavar="PATH")]
+
+PAPER = {
+    "lateral_rmse_m": 0.0217,
+    "lateral_max_m": 0.08,
+    "heading_rmse_rad": 0.0465,
+    "heading_max_rad": 0.192,  # printed as 11 degrees
+    "speed_rmse_mps": 0.101,
+    "speed_max_mps": 0.087,
+}
+"""Results printed in the paper; its largest speed error is smaller than its RMSE."""
+PAPER_SOLVE_MS = 11.3
+"""Mean solve time printed in the paper (Gurobi through Yalmip) [ms]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Drive a scenario with a controller on the MuJoCo car and report how well it went."""
+
+    scenario: str = "paper"
+    """Name of a scenario, or FILE.csv with x_m,y_m[,...] of your own track."""
+    controller: str = "lpv-mpc"
+    """Name of a controller, or module:Class of your own."""
+    stiffness: Literal["constant"] = "constant"
+    """Tire model of the LPV-MPC."""
+    wind_scale: float = 1.0
+    """Factor on the scenario's wind speed."""
+    friction: float = 1.0
+    """Factor on the peak friction of the road."""
+    seed: int = 0
+    """Seed of everything random."""
+    out: File = None
+    """Folder for the results (default: runs/SCENARIO-CONTROLLER)."""
+    render: bool = False
+    """Make a video: videos/SCENARIO-CONTROLLER.mp4."""
+    view: bool = False
+    """Watch the run live in MuJoCo's interactive viewer."""
+    v_max: Number = None
+    """Top speed of a planned speed profile [m/s]."""
+    ay_max: Number = None
+    """Lateral acceleration of a planned speed profile [m/s2]."""
+    grip: Number = None
+    """The same as a fraction of what the car can hold."""
+    closed: bool = False
+    """Treat a CSV track as closed (default: decided by its ends)."""
+    no_closed: bool = False
+    """Treat a CSV track as open."""
+    delay: int = 0
+    """Control periods after which a command reaches the car."""
+    step_timeout: float = 60.0
+    """Longest time of one controller step before the run is given up [s]; compiling counts."""
+    json: File = None
+    """Write the metrics to this file as well."""
+
+
+def main(options: Options) -> int:
+    """Drive, print, save; returns the exit code."""
+    check(options)
+    from lpvmpc import Plant, load_controller, load_scenario, metrics, simulate
+
+    scenario = load_scenario(options.scenario, **scenario_options(options))
+    own = ":" in options.controller
+    known = {} if own else {"delay": options.delay}
+    controller = load_controller(options.controller, **known)
+    plant = Plant()
+    name = re.sub(r"[^\w.-]+", "-", f"{scenario.name}-{options.controller}")
+    out = cli.writable_folder(options.out or Path("runs") / name)
+    video = cli.writable_folder(Path("videos")) / f"{name}.mp4" if options.render else None
+    if options.json is not None:
+        cli.writable_folder(options.json.parent)
+    forget_last_run(out)
+    with Progress(plant if options.view else None, plant.Ts) as progress:
+        log = simulate(
+            plant,
+            controller,
+            scenario,
+            seed=options.seed,
+            delay=options.delay,
+            step_timeout=options.step_timeout,
+            progress=progress,
+            name=options.controller,
+            options={**scenario_options(options), "stiffness": options.stiffness},
+        )
+    result = metrics(log)
+    print_table(result, log)
+    interrupted = not save(options, log, result, out)
+    print(f"Saved {out}/ (metrics.json, trace.parquet, timing.parquet, figures/)")
+    if video is not None and not interrupted:
+        interrupted = not film(log, video)
+    if interrupted:
+        return cli.INTERRUPTED
+    return cli.DONE if result["completed"] else cli.NOT_COMPLETED
+
+
+def check(options: Options) -> None:
+    """Refuse options that no run can mean, before anything slow is imported."""
+    cli.check_number("--wind-scale", options.wind_scale, 0.0, 10.0)
+    cli.check_number("--friction", options.friction, 0.05, 2.0)
+    cli.check_number("--seed", options.seed, 0, 2**63)
+    cli.check_number("--v-max", options.v_max, 1.0, 60.0, "m/s")
+    cli.check_number("--ay-max", options.ay_max, 0.1, 15.0, "m/s2")
+    cli.check_number("--grip", options.grip, 0.05, 1.2)
+    cli.check_number("--delay", options.delay, 0, 30, "periods")
+    cli.check_number("--step-timeout", options.step_timeout, 0.001, 86400.0, "s")
+    for one, other in (("ay_max", "grip"), ("closed", "no_closed")):
+        if getattr(options, one) and getattr(options, other):
+            flags = [f"--{name.replace('_', '-')}" for name in (one, other)]
+            raise LPVMPCError(f"{flags[0]} and {flags[1]} exclude each other; give only one.")
+    if options.view and sys.platform.startswith("linux"):
+        if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+            raise RenderError("--view needs a display, but neither DISPLAY nor WAYLAND_DISPLAY is "
+                              "set; --render makes a video without one.")  # fmt: skip
+
+
+def scenario_options(options: Options) -> dict[str, Any]:
+    """The options that change what is driven."""
+    closed = True if options.closed else False if options.no_closed else None
+    return {
+        "wind_scale": options.wind_scale,
+        "friction": options.friction,
+        "v_max": options.v_max,
+        "ay_max": options.ay_max,
+        "grip": options.grip,
+        "closed": closed,
+    }
+
+
+def forget_last_run(out: Path) -> None:
+    """Remove the results of an earlier run, metrics.json first: what is left never looks whole."""
+    files = [out / "metrics.json", out / "trace.parquet", out / "timing.parquet"]
+    try:
+        for file in (*files, *sorted((out / "figures").glob("*.png"))):
+            file.unlink(missing_ok=True)
+    except OSError as error:
+        why = error.strerror or str(error)
+        raise OutputError(f"Cannot replace the results in {str(out)!r}: {why}.") from error
+
+
+class Progress:
+    """Progress bar on a terminal and, where asked for, the live viewer at real-time speed."""
+
+    def __init__(self, watched: Plant | None, Ts: float):
+        self.watched, self.Ts = watched, Ts
+        self.bar: Any = None
+        self.viewer: Any = None
+        self.calls = 0
+
+    def __enter__(self) -> Progress:
+        if self.watched is not None:
+            from mujoco import viewer
+
+            self.viewer = viewer.launch_passive(self.watched.model, self.watched.data)
+            self.start = time.monotonic()
+        if sys.stderr.isatty():
+            from rich.console import Console
+            from rich.progress import Progress as Bar
+
+            self.bar = Bar(console=Console(stderr=True), transient=True)
+            self.bar.add_task("driving", total=1.0)
+            self.bar.start()
+        return self
+
+    def __call__(self, fraction: float) -> None:
+        """Called at every control instant with the driven fraction of the path."""
+        self.calls += 1
+        if self.bar is not None and self.calls % 30 == 0:
+            self.bar.update(0, completed=fraction)
+        if self.viewer is not None and self.viewer.is_running():
+            self.viewer.sync()
+            ahead = self.calls * self.Ts - (time.monotonic() - self.start)
+            if ahead > 0.0:
+                time.sleep(ahead)
+
+    def __exit__(self, *error: object) -> None:
+        if self.bar is not None:
+            self.bar.stop()
+        if self.viewer is not None:
+            self.viewer.close()
+
+
+def save(options: Options, log: Log, result: dict[str, Any], out: Path) -> bool:
+    """Write trace, timing, figures and, last, metrics.json; False after an interrupt."""
+    log.write(out)
+    whole = log.meta["reason"] != "interrupted"
+    if whole and len(log) > 1:
+        try:
+            from lpvmpc.figures import save_all
+
+            save_all(log, out / "figures")
+        except KeyboardInterrupt:  # the figures are given up, the measurements are not
+            whole = False
+    given = {k: str(v) if isinstance(v, Path) else v for k, v in asdict(options).items()}
+    record = {"options": given, "weights": log.weights, "commit": commit(), "machine": machine()}
+    if options.json is not None:
+        write_json(options.json, result)
+    write_json(out / "metrics.json", {**result, "record": record})
+    return whole
+
+
+def film(log: Log, video: Path) -> bool:
+    """Make the video; False after an interrupt. A machine that cannot draw is a warning."""
+    try:
+        from lpvmpc.render import render_video
+
+        render_video(log, video)
+    except RenderError as error:
+        print("Warning: no video:", " ".join(str(error).split()), file=sys.stderr)
+    except KeyboardInterrupt:
+        return False
+    else:
+        print(f"Saved {video}")
+    return True
+
+
+def print_table(result: dict[str, Any], log: Log) -> None:
+    """The results, with the paper's beside them on the paper's scenario."""
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(width=80 if not sys.stdout.isatty() else None, highlight=False)
+    beside = result["scenario"] == "paper"
+    title = f"{result['controller']} on {result['scenario']}"
+    table = Table(title=title, title_style="bold", title_justify="left", expand=False)
+    table.add_column("quantity")
+    table.add_column("this run", justify="right")
+    if beside:
+        table.add_column("paper", justify="right")
+    for label, ours, paper in rows(result, log):
+        table.add_row(label, ours, *([paper] if beside else []))
+    console.print(table)
+    if result["completed"]:
+        console.print("Completed.", style="green")
+    else:
+        console.print(f"Not completed: {result['reason']}.", style="red")
+    if beside:
+        console.print("Paper: Kebbati et al., on CarSim; its largest speed error is below its RMSE"
+                      " as printed.", style="dim")  # fmt: skip
+
+
+def rows(result: dict[str, Any], log: Log) -> Iterator[tuple[str, str, str]]:
+    """Label, value of this run and value of the paper, as text."""
+
+    def number(key: str, unit: str, digits: int = 4) -> tuple[str, str]:
+        ours, paper = result[key], PAPER.get(key)
+        shown = "-" if ours is None else f"{ours:.{digits}f} {unit}"
+        return shown, "" if paper is None else f"{paper:.{digits}f} {unit}"
+
+    yield "lateral error, RMSE", *number("lateral_rmse_m", "m")
+    yield "lateral error, largest", *number("lateral_max_m", "m")
+    yield "heading error, RMSE", *number("heading_rmse_rad", "rad")
+    yield "heading error, largest", *number("heading_max_rad", "rad")
+    yield "course error, RMSE", *number("course_rmse_rad", "rad")
+    yield "speed error, RMSE", *number("speed_rmse_mps", "m/s")
+    yield "speed error, largest", *number("speed_max_mps", "m/s")
+    yield "lateral acceleration, largest", *number("lateral_acc_max_mps2", "m/s2", 2)
+    yield "distance driven", *number("distance_m", "m", 1)
+    yield "duration", *number("duration_s", "s", 2)
+    yield "duration of the reference", *number("reference_duration_s", "s", 2)
+    qp, step = result["qp"], result["step_time_us"]
+    if qp["solved"] + qp["fallback"]:
+        solve = log.timing["solve_us"]
+        yield "QPs solved / fallbacks", f"{qp['solved']} / {qp['fallback']}", ""
+        yield "QP solve time, mean", f"{solve.mean() / 1e3:.3f} ms", f"{PAPER_SOLVE_MS:.1f} ms"
+    if step["p50"] is not None:
+        yield "control step, median", f"{step['p50'] / 1e3:.3f} ms", ""
+        yield "control step, 99th percentile", f"{step['p99'] / 1e3:.3f} ms", ""
+    yield "speed of the simulation", f"{result['realtime_factor']:.0f} x real time", ""
+
+
+if __name__ == "__main__":
+    sys.exit(cli.run(Options, main))

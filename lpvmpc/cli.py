@@ -1,0 +1,92 @@
+"""What the command-line scripts share: options from a dataclass, exit codes, one-line errors."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+import os
+import re
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TypeVar
+
+from lpvmpc.errors import LPVMPCError, OptionError, OutputError
+
+DONE, BAD_INPUT, NOT_COMPLETED, INTERRUPTED = 0, 2, 3, 130
+"""Exit codes: done; bad input (one line on stderr); the run did not complete; Ctrl-C."""
+
+OptionsT = TypeVar("OptionsT")
+
+
+def run(
+    options: type[OptionsT],
+    main: Callable[[OptionsT], int],
+    arguments: Sequence[str] | None = None,
+) -> int:
+    """Parse the command line into a dataclass, call `main` with it, and return the exit code.
+
+    Args:
+        options: Frozen dataclass of the script's options; its docstrings are the help.
+        main: Does the work and returns an exit code.
+        arguments: Command line (default: sys.argv).
+    """
+    try:
+        return main(parse(options, arguments))
+    except LPVMPCError as error:
+        print("Error:", " ".join(str(error).split()), file=sys.stderr)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        print("Interrupted.", file=sys.stderr)
+        return INTERRUPTED
+
+
+def parse(options: type[OptionsT], arguments: Sequence[str] | None = None) -> OptionsT:
+    """Options from the command line; tyro's framed complaint becomes one sentence.
+
+    Raises:
+        LPVMPCError: Unknown options or values of the wrong kind.
+        SystemExit: After --help, with code 0.
+    """
+    import tyro
+
+    complaint = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(complaint):
+            return tyro.cli(options, args=arguments, config=(tyro.conf.FlagCreatePairsOff,))
+    except SystemExit as stop:
+        if not stop.code:
+            raise
+    text = re.split(r"\n│ ─+ │", complaint.getvalue())[0]  # hints and help follow the first rule
+    lines = [line.strip("│╭╰╮╯ \n") for line in text.splitlines()[1:]]
+    sentence = " ".join(line for line in lines if line and not line.startswith("─"))
+    sentence = sentence.partition(" Got errors")[0].rstrip(". ")
+    raise LPVMPCError(f"{sentence}; --help lists the options.")
+
+
+def check_number(name: str, value: float | None, low: float, high: float, unit: str = "") -> None:
+    """Refuse a number outside [low, high], or NaN; None is fine (the option was not given).
+
+    Raises:
+        OptionError: With the option's name, its value and the allowed range.
+    """
+    if value is not None and not (math.isfinite(value) and low <= value <= high):
+        raise OptionError(name, value, f"from {low:g} to {high:g}{unit and ' ' + unit}")
+
+
+def writable_folder(folder: Path) -> Path:
+    """Make a folder where needed, and find out now whether it can be written.
+
+    Raises:
+        OutputError: It cannot.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        why = error.strerror or str(error)
+        raise OutputError(f"Cannot write into {os.fspath(folder)!r}: {why}.") from error
+    return folder

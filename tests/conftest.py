@@ -1,0 +1,104 @@
+import os
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+os.environ.setdefault("MUJOCO_GL", "egl")  # before anything imports mujoco
+
+import numpy as np
+import pytest
+
+from lpvmpc.path import Path as Road
+from lpvmpc.scenario import Scenario
+from lpvmpc.speed_profile import SpeedProfile
+from lpvmpc.vehicle import Command, State
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture
+def root() -> Path:
+    return ROOT
+
+
+@pytest.fixture
+def straight():
+    """100 m straight on at 10 m/s, no wind."""
+    road = Road.from_curvature(np.zeros(2), 100.0)
+    return Scenario(name="straight", path=road, speed=SpeedProfile.constant(10.0, road))
+
+
+@pytest.fixture(scope="session")
+def plant():
+    from lpvmpc.plant import Plant
+
+    return Plant()
+
+
+class PointPlant:
+    """A car that turns and accelerates exactly as commanded: for rules that need no physics."""
+
+    Ts = 0.033
+    params = SimpleNamespace(lf=1.2, lr=1.6, mu=0.82)
+    model_sha256 = "none"
+    trim_command = Command(0.0, 0.0)
+    roll = 0.0
+    rolled_over = False
+
+    def __init__(self):
+        self.friction = 1.0
+        self.commands = []
+        self.x = self.y = self.psi = self.vx = 0.0
+
+    def reset(self, x, y, psi, vx, *, kappa=0.0, wind=(0.0, 0.0), trim=True):
+        self.x, self.y, self.psi, self.vx = x, y, psi, vx
+        return self.state
+
+    @property
+    def state(self):
+        return State(self.x, self.y, self.psi, self.vx, 0.0, 0.0, 0.0, 0.0, 0.0, np.zeros(4))
+
+    def step(self, command, wind=(0.0, 0.0)):
+        self.commands.append(command)
+        self.psi += self.vx / 2.8 * np.tan(command.delta) * self.Ts
+        self.vx += command.ax * self.Ts
+        self.x += self.vx * np.cos(self.psi) * self.Ts
+        self.y += self.vx * np.sin(self.psi) * self.Ts
+        return self.state
+
+    @property
+    def qpos(self):
+        return np.array([self.x, self.y, 0.0, 1.0, 0.0, 0.0, self.psi])
+
+    @property
+    def wheels(self):
+        return {name: np.zeros(4) for name in ("Fx", "Fy", "Fz", "slip_ratio", "slip_angle")}
+
+
+@pytest.fixture
+def point_plant():
+    return PointPlant()
+
+
+@pytest.fixture
+def point_plant_class():
+    return PointPlant
+
+
+@pytest.fixture
+def user_module(tmp_path, monkeypatch):
+    """Writes a module of a user's controllers into an empty current directory."""
+    monkeypatch.chdir(tmp_path)
+    before = set(sys.modules)
+
+    def write(source: str, name: str = "mine") -> str:
+        (tmp_path / f"{name}.py").write_text(source)
+        return name
+
+    yield write
+    for name in set(sys.modules) - before:
+        if getattr(sys.modules[name], "__file__", None) and str(tmp_path) in str(
+            sys.modules[name].__file__
+        ):
+            del sys.modules[name]
+    sys.path[:] = [p for p in sys.path if p != str(tmp_path)]

@@ -1,0 +1,289 @@
+import os
+import signal
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from lpvmpc.controllers import load_controller
+from lpvmpc.errors import ControllerError, OptionError, UnknownNameError
+from lpvmpc.metrics import metrics
+from lpvmpc.simulation import simulate
+from lpvmpc.vehicle import Command
+
+
+class Straight:
+    """Keeps straight on, at the speed it has."""
+
+    answer = Command(0.0, 0.0)
+
+    def reset(self, rng):
+        self.rng = rng
+
+    def command(self, state, preview):
+        return self.answer
+
+
+def controller(answer):
+    made = Straight()
+    made.answer = answer
+    return made
+
+
+# The end of a run -------------------------------------------------------------------------------
+
+
+def test_a_run_ends_where_the_path_ends(point_plant, straight):
+    log = simulate(point_plant, Straight(), straight)
+    result = metrics(log)
+    assert result["completed"] and result["reason"] == ""
+    assert result["s_end_m"] == 100.0
+    # interpolated between control instants, so exact for constant speed
+    assert result["duration_s"] == pytest.approx(10.0, abs=1e-9)
+    assert result["reference_duration_s"] == pytest.approx(10.0, abs=1e-9)
+
+
+def test_the_first_row_is_the_first_instant(point_plant, straight):
+    columns = simulate(point_plant, Straight(), straight).columns
+    assert columns["t_s"][0] == 0.0 and columns["s_m"][0] == 0.0
+    assert np.allclose(np.diff(columns["t_s"]), 0.033, rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("command", "reason"),
+    [
+        (Command(0.02, 0.0), "off the path"),
+        (Command(0.6, 0.0), "spun"),
+        (Command(0.0, -2.5), "stuck"),
+        (Command(0.0, float("-0.49")), "too slow"),
+    ],
+)
+def test_a_lost_car_ends_the_run(point_plant, straight, command, reason):
+    if reason == "too slow":  # slows down to 3 m/s and stays there
+        class Crawl(Straight):
+            def command(self, state, preview):
+                return Command(0.0, 3.0 - state.vx)
+
+        made = Crawl()
+    elif reason == "stuck":
+        class Stop(Straight):
+            def command(self, state, preview):
+                return Command(0.0, -5.0 * state.vx)
+
+        made = Stop()
+    else:
+        made = controller(command)
+    result = metrics(simulate(point_plant, made, straight))
+    assert not result["completed"]
+    assert result["reason"].startswith(reason)
+    assert result["s_end_m"] < 100.0
+
+
+def test_the_instant_of_failure_counts(point_plant, straight):
+    result = metrics(simulate(point_plant, controller(Command(0.02, 0.0)), straight))
+    assert 5.0 < result["lateral_max_m"] < 6.0
+
+
+def test_a_car_on_its_roof_ends_the_run(point_plant, straight):
+    point_plant.rolled_over = True
+    assert simulate(point_plant, Straight(), straight).meta["reason"] == "rolled over"
+
+
+def test_a_plant_gone_to_nan_ends_the_run(point_plant, straight):
+    step = point_plant.step
+    point_plant.step = lambda command, wind: step(command)._replace(x=float("nan"))
+    result = metrics(simulate(point_plant, Straight(), straight))
+    assert result["reason"] == "the plant's state is not finite"
+    assert result["lateral_rmse_m"] is None  # JSON has no NaN
+
+
+def test_an_interrupt_keeps_what_was_measured(point_plant, straight):
+    class Impatient(Straight):
+        calls = 0
+
+        def command(self, state, preview):
+            self.calls += 1
+            if self.calls == 21:
+                os.kill(os.getpid(), signal.SIGINT)
+            return self.answer
+
+    log = simulate(point_plant, Impatient(), straight)
+    assert log.meta["reason"] == "interrupted" and not log.meta["completed"]
+    assert 20 <= len(log) <= 21
+    assert metrics(log)["lateral_max_m"] == 0.0
+
+
+# What a controller is given ---------------------------------------------------------------------
+
+
+def test_delayed_commands_reach_the_car_later(point_plant, straight):
+    point_plant.trim_command = Command(0.001, 0.0)
+
+    class Counting(Straight):
+        calls = 0
+
+        def command(self, state, preview):
+            self.calls += 1
+            return Command(1e-6 * self.calls, 0.0)
+
+    simulate(point_plant, Counting(), straight, delay=2)
+    steering = [command.delta for command in point_plant.commands[:4]]
+    assert steering == [0.001, 0.001, 1e-6, 2e-6]
+
+
+def test_only_a_controller_that_observes_is_told_the_axle_forces(point_plant, straight):
+    seen = []
+
+    class Oracle(Straight):
+        def observe(self, axles):
+            seen.append(axles)
+
+    point_plant.axles = "forces"
+    log = simulate(point_plant, Oracle(), straight)
+    assert seen == ["forces"] * len(log)
+
+
+def test_the_generator_depends_on_the_seed_alone(point_plant, straight):
+    made = Straight()
+    draws = []
+    for seed in (7, 7, 8):
+        simulate(point_plant, made, straight, seed=seed)
+        draws.append(made.rng.random())
+    assert draws[0] == draws[1] != draws[2]
+
+
+def test_friction_changes_where_the_wheels_are(point_plant, straight):
+    import dataclasses
+
+    scenario = dataclasses.replace(
+        straight, friction=lambda s: np.where(np.asarray(s) < 50.0, 1.0, 0.5)
+    )
+    columns = simulate(point_plant, Straight(), scenario).columns
+    s = columns["s_m"]
+    # The tire's peak times the road's factor, at the axles: lf ahead, lr behind.
+    assert np.array_equal(columns["mu_fl"], np.where(s + 1.2 < 50.0, 0.82, 0.41))
+    assert np.array_equal(columns["mu_rr"], np.where(s - 1.6 < 50.0, 0.82, 0.41))
+
+
+# Bad controllers --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [(float("nan"), 0.0), (0.0, float("inf")), None, (1.0,), (1.0, 2.0, 3.0), "12", {1.0, 2.0},
+     np.zeros(3), ("a", "b"), 0.1, np.zeros((2, 2))],
+)  # fmt: skip
+def test_an_answer_that_is_no_command_is_named(point_plant, straight, answer):
+    with pytest.raises(ControllerError, match=r"Controller 'Straight' returned .* two finite"):
+        simulate(point_plant, controller(answer), straight)
+
+
+@pytest.mark.parametrize("answer", [(0.0, 0.0), [0, 0], np.zeros(2), Command(0.0, 0.0)])
+def test_any_pair_of_numbers_is_a_command(point_plant, straight, answer):
+    assert simulate(point_plant, controller(answer), straight).meta["completed"]
+
+
+def test_an_exception_in_a_controller_is_named(point_plant, straight):
+    class Broken(Straight):
+        def command(self, state, preview):
+            return 1 / 0
+
+    with pytest.raises(ControllerError, match=r"'Broken' raised in command.*ZeroDivisionError"):
+        simulate(point_plant, Broken(), straight)
+
+
+def test_a_controller_that_hangs_is_stopped(point_plant, straight):
+    class Hanging(Straight):
+        def command(self, state, preview):
+            while True:
+                try:
+                    time.sleep(0.01)
+                except Exception:  # the alarm is no Exception, so this does not swallow it
+                    continue
+
+    before = signal.getsignal(signal.SIGALRM)
+    with pytest.raises(ControllerError, match=r"'Hanging' did not return from command within"):
+        simulate(point_plant, Hanging(), straight, step_timeout=0.2)
+    assert signal.getsignal(signal.SIGALRM) is before
+    assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+
+
+def test_on_another_thread_a_slow_controller_is_judged_afterwards(point_plant, straight):
+    class Slow(Straight):
+        def command(self, state, preview):
+            time.sleep(0.1)
+            return self.answer
+
+    caught = []
+
+    def work():
+        try:
+            simulate(point_plant, Slow(), straight, step_timeout=0.05)
+        except ControllerError as error:
+            caught.append(str(error))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert len(caught) == 1 and "did not return from command within 0.05 s" in caught[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("seed", -1), ("seed", 1.5), ("delay", -1), ("delay", 31), ("delay", 1.0),
+     ("step_timeout", 0.0), ("step_timeout", float("nan"))],
+)  # fmt: skip
+def test_options_outside_their_domain_are_refused(point_plant, straight, name, value):
+    with pytest.raises(OptionError, match=name):
+        simulate(point_plant, Straight(), straight, **{name: value})
+
+
+def test_a_controller_of_another_period_is_refused(point_plant, straight):
+    made = Straight()
+    made.Ts = 0.05
+    with pytest.raises(OptionError, match=r"controller Ts is 0\.05"):
+        simulate(point_plant, made, straight)
+
+
+# Controllers by name ----------------------------------------------------------------------------
+
+
+def test_an_unknown_controller_lists_the_known():
+    with pytest.raises(UnknownNameError, match="lpv-mpc, lpv-mpc-paper"):
+        load_controller("mpc")
+
+
+GOOD = """
+class Mine:
+    def reset(self, rng): pass
+    def command(self, state, preview): return 0.0, 0.0
+class Half:
+    def reset(self, rng): pass
+class Picky(Mine):
+    def __init__(self, gain): pass
+"""
+
+
+def test_a_users_class_is_found_in_the_current_directory(user_module, point_plant, straight):
+    made = load_controller(user_module(GOOD) + ":Mine")
+    assert simulate(point_plant, made, straight).meta["completed"]
+
+
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [("absent:Mine", "no such module"), ("mine:Absent", "it has Half, Mine, Picky"),
+     ("mine:Half", "no method 'command'"), ("mine:Picky", "without arguments"),
+     (":Mine", "cannot be imported"), ("mine:", "does not exist")],
+)  # fmt: skip
+def test_a_users_class_that_is_no_controller_is_named(user_module, name, sentence):
+    user_module(GOOD)
+    with pytest.raises(ControllerError, match=sentence) as caught:
+        load_controller(name)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("source", ["import absent_thing", "def (", "1 / 0", "exit()"])
+def test_a_users_module_that_does_not_import_is_named(user_module, source):
+    with pytest.raises(ControllerError, match="cannot be imported"):
+        load_controller(user_module(source) + ":Mine")
