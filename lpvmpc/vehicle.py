@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, fields
 from pathlib import Path as FilePath
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+
+from lpvmpc.errors import ModelError, OptionError, UnknownNameError
 
 Array = npt.NDArray[np.float64]
 
@@ -51,6 +54,29 @@ class Command(NamedTuple):
     """Road-wheel steering angle [rad], left positive."""
     ax: float
     """Drive (positive) or brake (negative) acceleration before resistances [m/s2]."""
+
+
+class AxleForces(NamedTuple):
+    """True forces and slip angles of the axles; only the oracle stiffness model is told them."""
+
+    Fyf: float
+    """Lateral force of the front wheels across their heading [N]."""
+    Fyr: float
+    """Lateral force of the rear wheels [N]."""
+    Fzf: float
+    """Load of the front axle [N]."""
+    Fzr: float
+    """Load of the rear axle [N]."""
+    alpha_f: float
+    """Front slip angle of the single track [rad]."""
+    alpha_r: float
+    """Rear slip angle of the single track [rad]."""
+    Fxf: float
+    """Longitudinal force of the front wheels along their heading [N]."""
+    Fxr: float
+    """Longitudinal force of the rear wheels [N]."""
+    mu: float
+    """Peak friction of the four wheels, weighted by their loads [-]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,7 +166,56 @@ class VehicleParams:
         """Strongest braking the brakes can give, before resistances [m/s2], negative."""
         return -self.F_brake_max / self.m_eff
 
+    def __post_init__(self) -> None:
+        """Raise OptionError for a parameter that no car can have."""
+        signed = {"x_cy"}
+        may_be_zero = {"trail_f", "trail_r", "c_roll", "CdA", "CyA", "rho_air"}
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not math.isfinite(value):
+                raise OptionError(field.name, value, "a finite number")
+            if field.name in signed:
+                continue
+            if field.name in may_be_zero and value < 0.0:
+                raise OptionError(field.name, value, "zero or positive")
+            if field.name not in may_be_zero and value <= 0.0:
+                raise OptionError(field.name, value, "positive")
+        if self.brake_front >= 1.0:
+            raise OptionError("brake_front", self.brake_front, "a share between 0 and 1")
+
     @classmethod
     def load(cls, path: str | FilePath | None = None) -> VehicleParams:
-        """Read the parameters from an MJCF file (default: the packaged models/vehicle.xml)."""
-        raise NotImplementedError
+        """Read the parameters from an MJCF file (default: the packaged models/vehicle.xml).
+
+        Raises:
+            ModelError: the file is broken, or not a car of this package.
+        """
+        from lpvmpc import model  # MuJoCo and numba: not for those who only need the types
+
+        return model.parameters(model.compile_model(path))
+
+
+def models_dir() -> FilePath:
+    """Folder of the MJCF files: lpvmpc/models in a wheel, models/ in a checkout.
+
+    Raises:
+        ModelError: neither exists.
+    """
+    package = FilePath(__file__).resolve().parent
+    for folder in (package / "models", package.parent / "models"):
+        if (folder / "vehicle.xml").is_file():
+            return folder
+    raise ModelError(f"No models/vehicle.xml beside {package}; the installation is damaged.")
+
+
+def model_path(name: str) -> FilePath:
+    """Path of a packaged MJCF file by its name, with or without .xml.
+
+    Raises:
+        UnknownNameError: there is no such file; the message lists those there are.
+    """
+    folder = models_dir()
+    path = folder / (name if name.endswith(".xml") else f"{name}.xml")
+    if not path.is_file():
+        raise UnknownNameError("model", name, (file.stem for file in folder.glob("*.xml")))
+    return path

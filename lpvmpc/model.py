@@ -1,0 +1,178 @@
+"""The car's MJCF: compiling it, checking that it is our car, reading its parameters."""
+
+from __future__ import annotations
+
+from pathlib import Path as FilePath
+
+import mujoco
+import numpy as np
+
+from lpvmpc import tire
+from lpvmpc.errors import ModelError
+from lpvmpc.vehicle import GRAVITY, Array, VehicleParams, model_path
+
+# Sizes of the model, by which the callbacks recognise it.
+NQ, NV, NU, NA, NUSERDATA = 17, 16, 5, 10, 56
+LAYOUT = 1
+"""Version of the layout of the numerics; the value of the numeric `lpvmpc_vehicle`."""
+
+NUMERICS = (
+    ("lpvmpc_vehicle", 1),
+    ("steering", 3),
+    ("powertrain", 5),
+    ("aero", 4),
+    ("wheel", 1),
+    ("low_speed", 4),
+    ("body", 2),
+    ("ay_limit", 1),
+    ("tire_f", tire.N_COEFFICIENTS),
+    ("tire_r", tire.N_COEFFICIENTS),
+)
+"""Names and sizes of the <custom> numerics, in the order that the callbacks read."""
+
+WHEELS = ("fl", "fr", "rl", "rr")
+"""Order of the wheels everywhere."""
+JOINTS = (
+    "chassis",
+    *("susp_fl", "steer_fl", "spin_fl"),
+    *("susp_fr", "steer_fr", "spin_fr"),
+    *("susp_rl", "spin_rl"),
+    *("susp_rr", "spin_rr"),
+)
+"""Joints in the order of qpos and qvel."""
+ACTUATORS = ("steer", "drive", "wind_x", "wind_y", "tires")
+"""Actuators in the order of ctrl."""
+
+VX_MIN = 1.0
+"""Speed below which the single-track model is not used [m/s]: its slip angles divide by vx."""
+
+
+def compile_model(path: str | FilePath | None = None, *, visual: bool = True) -> mujoco.MjModel:
+    """Compile an MJCF file and check that it is our car.
+
+    Args:
+        path: file (default: the packaged models/vehicle.xml).
+        visual: keep what is only drawn; without it a step is a little faster, and equal.
+
+    Raises:
+        ModelError: the file cannot be read or compiled, or is not a car of this package.
+    """
+    path = model_path("vehicle") if path is None else FilePath(path)
+    if not path.is_file():
+        raise ModelError(f"There is no MJCF file {path}.")
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        spec.compiler.discardvisual = not visual
+        model = spec.compile()
+    except ValueError as error:  # MuJoCo reports schema and compile errors as ValueError
+        reason = " ".join(str(error).split())
+        raise ModelError(f"{path} is no valid MJCF file: {reason}") from None
+    check_model(model, str(path))
+    return model
+
+
+def check_model(model: mujoco.MjModel, source: str = "The model") -> None:
+    """Raise ModelError unless the model is a car of this package.
+
+    Args:
+        model: compiled model.
+        source: what to call it in the message.
+    """
+
+    def names(kind: mujoco.mjtObj, count: int) -> tuple[str, ...]:
+        return tuple(mujoco.mj_id2name(model, kind, i) or "(unnamed)" for i in range(count))
+
+    numerics = names(mujoco.mjtObj.mjOBJ_NUMERIC, model.nnumeric)
+    sizes = (int(size) for size in model.numeric_size)
+    checks = {
+        "joints": (names(mujoco.mjtObj.mjOBJ_JOINT, model.njnt), JOINTS),
+        "actuators": (names(mujoco.mjtObj.mjOBJ_ACTUATOR, model.nactuator), ACTUATORS),
+        "custom numerics": (tuple(zip(numerics, sizes, strict=True))[: len(NUMERICS)], NUMERICS),
+        "sizes nq, nv, nu, na, nuserdata": (
+            (model.nq, model.nv, model.nu, model.na, model.nuserdata),
+            (NQ, NV, NU, NA, NUSERDATA),
+        ),
+    }
+    for what, (found, wanted) in checks.items():
+        if found != wanted:
+            raise ModelError(
+                f"{source} is not a car of this package: its {what} must be "
+                f"{_words(wanted)}, not {_words(found)}."
+            )
+    if model.numeric_data[0] != LAYOUT:
+        raise ModelError(
+            f"{source} has layout version {model.numeric_data[0]:g}, but must have {LAYOUT}."
+        )
+    tires = model.numeric_data[-2 * tire.N_COEFFICIENTS :]
+    if not np.isfinite(tires).all():
+        raise ModelError(f"{source} has a tire coefficient that is not a finite number.")
+
+
+def _words(items: tuple[object, ...]) -> str:
+    return ", ".join(str(item) for item in items) or "(none)"
+
+
+def numeric(model: mujoco.MjModel, name: str) -> Array:
+    """Copy of the values of a <custom> numeric."""
+    return np.array(model.numeric(name).data, dtype=np.float64)
+
+
+def parameters(model: mujoco.MjModel) -> VehicleParams:
+    """Parameters of a compiled car; lengths and inertia are those of the settled pose.
+
+    Cf, Cr are 2 times the slope of the tire at the static load m g lr / 2L, m g lf / 2L.
+    """
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)  # qpos0 is the settled pose
+    inertia = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, inertia)
+    chassis = model.body("chassis").id
+    com = data.subtree_com[chassis]
+    m = float(model.body_subtreemass[chassis])
+    # The chassis frame may lie beside the centre of mass: parallel axes.
+    offset = com - data.xpos[chassis]
+    Iz = float(inertia[5, 5] - m * (offset[0] ** 2 + offset[1] ** 2))
+    centre = {w: data.xpos[model.body(f"wheel_{w}").id] for w in WHEELS}
+    lf, lr = float(centre["fl"][0] - com[0]), float(com[0] - centre["rl"][0])
+    tau_delta, delta_rate_max, delta_max = numeric(model, "steering")
+    tau_ax, torque_drive, power, torque_brake, brake_front = numeric(model, "powertrain")
+    rho_air, CdA, CyA, x_cy = numeric(model, "aero")
+    (R_w,) = numeric(model, "wheel")
+    length, width = numeric(model, "body")
+    tire_f, tire_r = numeric(model, "tire_f"), numeric(model, "tire_r")
+    Fz_f = m * GRAVITY * lr / (2.0 * (lf + lr))
+    Fz_r = m * GRAVITY * lf / (2.0 * (lf + lr))
+    values = dict(
+        m=m,
+        Iz=Iz,
+        lf=lf,
+        lr=lr,
+        track_f=centre["fl"][1] - centre["fr"][1],
+        track_r=centre["rl"][1] - centre["rr"][1],
+        h=com[2],
+        width=width,
+        length=length,
+        R_w=R_w,
+        J_w=model.body_inertia[model.body("wheel_fl").id, 1],
+        mu=tire_f[tire.PDY1],
+        Cf=2.0 * tire.cornering_stiffness(tire_f, Fz_f),
+        Cr=2.0 * tire.cornering_stiffness(tire_r, Fz_r),
+        trail_f=tire.pneumatic_trail(tire_f, 0.0, Fz_f),
+        trail_r=tire.pneumatic_trail(tire_r, 0.0, Fz_r),
+        c_roll=tire_f[tire.QSY1],
+        rho_air=rho_air,
+        CdA=CdA,
+        CyA=CyA,
+        x_cy=x_cy,
+        tau_delta=tau_delta,
+        delta_max=delta_max,
+        delta_rate_max=delta_rate_max,
+        tau_ax=tau_ax,
+        F_drive_max=torque_drive / R_w,
+        P_drive_max=power,
+        F_brake_max=torque_brake / R_w,
+        brake_front=brake_front,
+        ay_limit=numeric(model, "ay_limit")[0],
+        vx_min=VX_MIN,
+    )
+    return VehicleParams(**{name: float(value) for name, value in values.items()})
