@@ -38,7 +38,7 @@ from lpvmpc.bicycle import (
 )
 from lpvmpc.errors import OptionError
 from lpvmpc.path import Preview
-from lpvmpc.qp import QPSolver, condense, n_rows
+from lpvmpc.qp import QPResult, QPSolver, condense, n_rows
 from lpvmpc.stiffness import ConstantStiffness, StiffnessModel
 from lpvmpc.vehicle import Array, Command, State, VehicleParams
 
@@ -145,6 +145,10 @@ class Formulation:
 
 PAPER = Formulation(hold="euler", reference="plain", lags=False, observer=False, slip_cap=False)
 """The paper's plain formulation on the corrected matrices."""
+
+
+NOT_FINITE = QPResult(np.empty(0), False, "NOT_FINITE", np.nan, 0.0, 0.0)
+"""Outcome of a period whose measurement is not a number."""
 
 
 @dataclass
@@ -310,8 +314,10 @@ class LPVMPC:
         self.solver.reset()
         self.disturbance = np.zeros(3)
         self.diagnostics = Diagnostics()
-        self._started = False
+        self._started, self._blind = False, False
         self._refused = 0
+        self._plan[:] = 0.0
+        self._queue[:] = 0.0
 
     def command(self, state: State, preview: Preview) -> Command:
         """Command of one control period.
@@ -324,17 +330,19 @@ class LPVMPC:
             Steering angle [rad] and acceleration [m/s2], within the hard bounds.
         """
         start = time.thread_time_ns()
+        if len(preview.kappa) <= self.preview_steps:
+            raise OptionError(
+                "preview length", len(preview.kappa), f"at least {self.preview_steps + 1} points"
+            )
         x = np.array([state.vx, state.vy, state.r, preview.ey, preview.epsi, state.delta, 0.0])
-        if self._started:
-            self._observe(x, preview.kappa[0])
-        else:
-            self._begin(x, state, preview)
-        self._x_last[:] = x
-        self._kappa_last = preview.kappa[0]
-        x0 = self._over_delay(x, preview.kappa)
-        self._build(x0, state, preview)
-        built = time.thread_time_ns()
-        result = self.solver.solve(self._H, self._g, self._C, self._lo, self._hi)
+        if np.isfinite(x).all() and np.isfinite(state.ax + state.ay):
+            x0 = self._estimate(x, state, preview)
+            self._build(x0, state, preview)
+            built = time.thread_time_ns()
+            result = self.solver.solve(self._H, self._g, self._C, self._lo, self._hi)
+        else:  # nothing is learned from it, and the model of this period has no start
+            x0, built, result = self._schedule[0], time.thread_time_ns(), NOT_FINITE
+            self._blind = True
         if result.solved:
             _unpack(result.z, self._free, self._forced, x0, SCALE, self._plan, self._prediction)
             self._refused, fallback = 0, ""
@@ -359,6 +367,20 @@ class LPVMPC:
         return command
 
     # one period, step by step -------------------------------------------------------------
+
+    def _estimate(self, x: Array, state: State, preview: Preview) -> Array:
+        """Drive lag, disturbance, and the state at which this period's command takes effect."""
+        kappa = preview.kappa[0]
+        if not self._started:
+            self._begin(x, state, preview)
+        elif self._blind:  # the period before was not measured: no prediction to compare with
+            x[A] = self._a
+        else:
+            self._observe(x, kappa)
+        self._blind = False
+        self._x_last[:] = x
+        self._kappa_last = kappa
+        return self._over_delay(x, preview.kappa)
 
     def _begin(self, x: Array, state: State, preview: Preview) -> None:
         """First period: assume the car is in a steady state, as an accelerometer would say."""
@@ -436,6 +458,7 @@ class LPVMPC:
     def _fall_back(self) -> str:
         """A refused solve: keep to the previous plan, already shifted; after three, brake."""
         self._refused += 1
+        self._prediction[:] = self._schedule
         if self._refused <= 3:
             return "shifted"
         self._plan[:, 1] = BRAKING
