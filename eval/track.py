@@ -144,9 +144,9 @@ def check(options: Options) -> None:
 
 
 def scenario_options(options: Options) -> dict[str, Any]:
-    """The options that change what is driven."""
+    """The options that change what is driven, where given."""
     closed = True if options.closed else False if options.no_closed else None
-    return {
+    given = {
         "wind_scale": options.wind_scale,
         "friction": options.friction,
         "v_max": options.v_max,
@@ -154,6 +154,8 @@ def scenario_options(options: Options) -> dict[str, Any]:
         "grip": options.grip,
         "closed": closed,
     }
+    given = {k: v for k, v in given.items() if v is not None and (k != "friction" or v != 1.0)}
+    return given
 
 
 def forget_last_run(out: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import platform
 import subprocess
@@ -9,6 +10,10 @@ from collections.abc import Iterable, Sequence
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import mujoco
 
 PACKAGES = ("mujoco", "numba", "numpy", "proxsuite", "pyarrow")
 """Packages on whose versions a trace depends."""
@@ -26,6 +31,16 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             found[package] = "not installed"
     return found
+
+
+def model_sha256(model: mujoco.MjModel) -> str:
+    """SHA-256 of the compiled model: every number that the physics uses, and MuJoCo's layout."""
+    import mujoco
+    import numpy as np
+
+    binary = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, binary)
+    return hashlib.sha256(binary).hexdigest()
 
 
 @cache

@@ -17,13 +17,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lpvmpc.controllers import Controller, TimeLimit, checked_command
-from lpvmpc.errors import OptionError
-from lpvmpc.log import FALLBACKS, MOTION, Log, Recorder
+from lpvmpc.errors import LPVMPCError, OptionError
+from lpvmpc.log import FALLBACKS, Log, Recorder
+from lpvmpc.plant import DRIVE, STEER, Plant
+from lpvmpc.report import model_sha256, versions
 from lpvmpc.vehicle import Command, State
 
 if TYPE_CHECKING:
     from lpvmpc.path import Preview
-    from lpvmpc.plant import Plant
     from lpvmpc.scenario import Scenario
 
 EY_LOST = 5.0
@@ -39,7 +40,6 @@ TIME_FACTOR = 2.0
 MAX_DELAY = 30
 """Longest delay of the commands [control periods], one second."""
 
-COMMAND = slice(MOTION.index("delta_cmd_rad"), MOTION.index("ax_cmd_mps2") + 1)
 Progress = Callable[[float], None]
 
 
@@ -125,7 +125,7 @@ class _Loop:
         self.time_limit = TIME_FACTOR * scenario.reference_duration
         rows = math.ceil(self.time_limit / plant.Ts) + 2
         self.recorder = Recorder(rows, self.Np, len(plant.qpos))
-        self.grip = np.array(plant.friction, dtype=float)  # of the plant itself, scalar or (4,)
+        self.grip = np.array(plant.friction)  # the plant's own, which the road's multiplies
         self.road_friction = getattr(scenario, "friction", None)
         self.friction = np.ones(4)  # of the road under the wheels
         self.has_qp = False
@@ -137,7 +137,8 @@ class _Loop:
         path, Ts, length = scenario.path, plant.Ts, scenario.path.length
         state = self._start()
         self.limit.call("reset", 0.0, controller.reset, np.random.default_rng(seed))
-        queue = deque([plant.trim_command] * self.delay)
+        held = Command(float(plant.data.ctrl[STEER]), float(plant.data.ctrl[DRIVE]))
+        queue = deque([held] * self.delay)
         observe = getattr(controller, "observe", None)
         s, stuck, k = 0.0, 0, 0
         while True:
@@ -156,8 +157,6 @@ class _Loop:
             reason = self._lost(preview.ey, preview.epsi, t, stuck * Ts)
             wind_speed = scenario.wind.speed(t, s)
             if reason:  # this instant counts, with the command that led to it
-                last = self.recorder.motion[k - 1] if k else None
-                held = Command(*last[COMMAND]) if last is not None else plant.trim_command
                 self._record(t, state, preview, held, wind_speed, None)
                 return reason
             if observe is not None:
@@ -165,7 +164,7 @@ class _Loop:
             cpu = time.thread_time_ns()
             answer = self.limit.call("command", t, controller.command, state, preview)
             cpu = time.thread_time_ns() - cpu
-            command = checked_command(answer, self.name, t)
+            held = command = checked_command(answer, self.name, t)
             self._record(t, state, preview, command, wind_speed, cpu * 1e-3)
             if progress is not None:
                 progress(s / length)
@@ -174,13 +173,14 @@ class _Loop:
                 command = queue.popleft()
             if self.road_friction is not None:
                 self._lay_road(s)
-            state = plant.step(command, wind=scenario.wind.velocity(t, s, preview.psi[0]))
+            try:
+                state = plant.step(command, wind=scenario.wind.velocity(t, s, preview.psi[0]))
+            except LPVMPCError as error:  # a diverged simulation ends the run, and is its result
+                return f"the plant failed: {error}"
             k += 1
 
     def meta(self, reason: str, wall_s: float) -> dict[str, Any]:
         """What is recorded beside the columns."""
-        from lpvmpc.report import versions
-
         stiffness = getattr(self.controller, "stiffness", None)
         return {
             "scenario": self.scenario.name,
@@ -197,18 +197,21 @@ class _Loop:
             "wall_s": wall_s,
             "realtime_factor": self.duration / wall_s,
             "versions": versions(),
-            "model_sha256": self.plant.model_sha256,
+            "model_sha256": model_sha256(self.plant.model),
         }
 
     def _start(self) -> State:
-        """The car on the start line, trimmed at the reference's speed, curvature and wind."""
+        """The car on the start line, trimmed at the reference's speed, curvature and wind.
+
+        It moves along the path, so in a side wind its axis points a little to windward.
+        """
         scenario = self.scenario
         x, y, psi, kappa = (float(value) for value in scenario.path.at(0.0))
         if self.road_friction is not None:
             self._lay_road(0.0)
         wind = scenario.wind.velocity(0.0, 0.0, psi)
         vx = float(scenario.speed.at(0.0))
-        return self.plant.reset(x, y, psi, vx, kappa=kappa, wind=wind, trim=True)
+        return self.plant.reset(x, y, psi, vx, kappa=kappa, wind=wind, align="course")
 
     def _lay_road(self, s: float) -> None:
         """Friction of the road under each wheel, where the car is at arc length s [m]."""
@@ -219,9 +222,7 @@ class _Loop:
             self.plant.friction = self.grip * self.friction
 
     def _lost(self, ey: float, epsi: float, t: float, stood: float) -> str:
-        """Why the run cannot go on, or "". Written so that NaN counts as lost."""
-        if not (math.isfinite(ey) and math.isfinite(epsi)):
-            return "the plant's state is not finite"
+        """Why the run cannot go on, or ""."""
         if abs(ey) > EY_LOST:
             return f"off the path: |ey| > {EY_LOST:g} m"
         if abs(epsi) > EPSI_LOST:
@@ -246,11 +247,7 @@ class _Loop:
         """Fill one row; without a step time there was no call of the controller."""
         log, plant = self.recorder, self.plant
         k = log.n
-        wheels = plant.wheels
-        block = log.wheels[k]
-        block[0], block[1], block[2] = wheels["Fx"], wheels["Fy"], wheels["Fz"]
-        block[3], block[4] = wheels["slip_ratio"], wheels["slip_angle"]
-        block[5] = plant.params.mu * self.grip * self.friction
+        log.wheels[k] = plant.wheels
         log.qpos[k] = plant.qpos
         residual = math.nan
         diagnostics = getattr(self.controller, "diagnostics", None)

@@ -5,13 +5,15 @@ from types import SimpleNamespace
 
 os.environ.setdefault("MUJOCO_GL", "egl")  # before anything imports mujoco
 
+import mujoco
 import numpy as np
 import pytest
 
 from lpvmpc.path import Path as Road
+from lpvmpc.plant import Wheels
 from lpvmpc.scenario import Scenario
 from lpvmpc.speed_profile import SpeedProfile
-from lpvmpc.vehicle import Command, State
+from lpvmpc.vehicle import State
 
 ROOT = Path(__file__).parents[1]
 
@@ -39,18 +41,18 @@ class PointPlant:
     """A car that turns and accelerates exactly as commanded: for rules that need no physics."""
 
     Ts = 0.033
-    params = SimpleNamespace(lf=1.2, lr=1.6, mu=0.82)
-    model_sha256 = "none"
-    trim_command = Command(0.0, 0.0)
+    params = SimpleNamespace(lf=1.2, lr=1.6)
+    model = mujoco.MjModel.from_xml_string("<mujoco/>")
     roll = 0.0
     rolled_over = False
 
     def __init__(self):
-        self.friction = 1.0
+        self.friction = np.ones(4)
+        self.data = SimpleNamespace(ctrl=np.zeros(4))
         self.commands = []
         self.x = self.y = self.psi = self.vx = 0.0
 
-    def reset(self, x, y, psi, vx, *, kappa=0.0, wind=(0.0, 0.0), trim=True):
+    def reset(self, x, y, psi, vx, *, kappa=0.0, wind=(0.0, 0.0), align="heading"):
         self.x, self.y, self.psi, self.vx = x, y, psi, vx
         return self.state
 
@@ -72,7 +74,7 @@ class PointPlant:
 
     @property
     def wheels(self):
-        return {name: np.zeros(4) for name in ("Fx", "Fy", "Fz", "slip_ratio", "slip_angle")}
+        return Wheels(*np.zeros((5, 4)), mu=0.82 * self.friction)
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lpvmpc.controllers import load_controller
-from lpvmpc.errors import ControllerError, OptionError, UnknownNameError
+from lpvmpc.errors import ControllerError, LPVMPCError, OptionError, UnknownNameError
 from lpvmpc.metrics import metrics
 from lpvmpc.simulation import simulate
 from lpvmpc.vehicle import Command
@@ -90,12 +90,14 @@ def test_a_car_on_its_roof_ends_the_run(point_plant, straight):
     assert simulate(point_plant, Straight(), straight).meta["reason"] == "rolled over"
 
 
-def test_a_plant_gone_to_nan_ends_the_run(point_plant, straight):
-    step = point_plant.step
-    point_plant.step = lambda command, wind: step(command)._replace(x=float("nan"))
-    result = metrics(simulate(point_plant, Straight(), straight))
-    assert result["reason"] == "the plant's state is not finite"
-    assert result["lateral_rmse_m"] is None  # JSON has no NaN
+def test_a_plant_that_diverges_ends_the_run(point_plant, straight):
+    def diverge(command, wind):
+        raise LPVMPCError("The simulation has diverged at 0.033 s.")
+
+    point_plant.step = diverge
+    log = simulate(point_plant, Straight(), straight)
+    assert log.meta["reason"] == "the plant failed: The simulation has diverged at 0.033 s."
+    assert len(log) == 1
 
 
 def test_an_interrupt_keeps_what_was_measured(point_plant, straight):
@@ -118,7 +120,7 @@ def test_an_interrupt_keeps_what_was_measured(point_plant, straight):
 
 
 def test_delayed_commands_reach_the_car_later(point_plant, straight):
-    point_plant.trim_command = Command(0.001, 0.0)
+    point_plant.data.ctrl[0] = 0.001  # the command of the trimmed start
 
     class Counting(Straight):
         calls = 0
