@@ -1,0 +1,277 @@
+import importlib.util
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lpvmpc import cli
+from lpvmpc.metrics import KEYS
+
+PERIOD = 0.033
+
+
+@pytest.fixture(scope="module")
+def track():
+    """The script eval/track.py as a module."""
+    script = Path(__file__).parents[1] / "eval" / "track.py"
+    spec = importlib.util.spec_from_file_location("track", script)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["track"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def run(track, tmp_path, monkeypatch, capsys):
+    """Runs the script in an empty folder: (exit code, stdout, stderr)."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments):
+        code = cli.run(track.Options, track.main, [str(a) for a in arguments])
+        output = capsys.readouterr()
+        return code, output.out, output.err
+
+    return call
+
+
+@pytest.fixture
+def road(tmp_path):
+    """A straight road of 40 m, driven at 10 m/s."""
+    return write_csv(tmp_path / "road.csv", np.column_stack([np.linspace(0, 40, 41), np.zeros(41)]))
+
+
+def write_csv(path, points, speed=10.0):
+    rows = "".join(f"{x},{y},3,3,{speed}\n" for x, y in points)
+    path.write_text("# x_m,y_m,w_tr_right_m,w_tr_left_m,vx_mps\n" + rows)
+    return path
+
+
+# A run that works -------------------------------------------------------------------------------
+
+
+def test_a_run_leaves_everything_promised(run, road, tmp_path):
+    code, out, err = run("--scenario", road, "--json", tmp_path / "copy.json", "--seed", 5)
+    assert (code, err) == (0, "")
+    folder = tmp_path / "runs" / "road-lpv-mpc"
+    result = json.loads((folder / "metrics.json").read_text())
+    record = result.pop("record")
+    assert tuple(result) == KEYS and result["completed"] and result["seed"] == 5
+    assert result == json.loads((tmp_path / "copy.json").read_text())
+    assert record["options"]["wind_scale"] == 1.0 and record["weights"]["q_ey"] > 0.0
+    for name in ("trace.parquet", "timing.parquet"):
+        assert (folder / name).stat().st_size > 1000
+    assert list((folder / "figures").glob("*.png"))
+    assert not list(folder.rglob("*.part"))
+    assert "lateral error, RMSE" in out and "Completed." in out
+    assert max(len(line) for line in out.splitlines()) <= 80
+
+
+def test_the_same_seed_gives_the_same_trace(run, road, tmp_path):
+    traces = []
+    for folder in ("a", "b"):
+        assert run("--scenario", road, "--out", tmp_path / folder)[0] == 0
+        traces.append((tmp_path / folder / "trace.parquet").read_bytes())
+    assert traces[0] == traces[1]
+
+
+def test_a_users_controller_is_driven_and_judged(run, road, user_module):
+    name = user_module(
+        "class Left:\n"
+        "    def reset(self, rng): pass\n"
+        "    def command(self, state, preview): return 0.3, 0.0\n"
+    )
+    code, out, err = run("--scenario", road, "--controller", f"{name}:Left", "--out", "here")
+    assert code == 3 and err == ""
+    assert "Not completed: off the path" in out
+    result = json.loads(open("here/metrics.json").read())
+    assert not result["completed"] and result["qp"]["solved"] == 0
+
+
+def test_the_paper_is_beside_the_papers_scenario_only(track):
+    assert track.PAPER["lateral_rmse_m"] == 0.0217
+
+
+# Bad input: exit code 2 and one sentence --------------------------------------------------------
+
+PARAMETERS = [
+    (["--scenario", "papers"], "Unknown scenario 'papers'; the choices are"),
+    (["--controller", "mpc"], "Unknown controller 'mpc'; the choices are lpv-mpc, lpv-mpc-paper"),
+    (["--controller", "absent:Mine"], "Controller 'absent:Mine' cannot be imported"),
+    (["--wind-scale", "-1"], "--wind-scale is -1.0, but must be from 0 to 10"),
+    (["--wind-scale", "nan"], "--wind-scale is nan"),
+    (["--friction", "0"], "--friction is 0.0, but must be from 0.05 to 2"),
+    (["--friction", "inf"], "--friction is inf"),
+    (["--seed", "-1"], "--seed is -1"),
+    (["--seed", "x"], "Error parsing --seed"),
+    (["--v-max", "-3"], "--v-max is -3.0, but must be from 1 to 60 m/s"),
+    (["--v-max", "1e9"], "--v-max is 1000000000.0"),
+    (["--ay-max", "0"], "--ay-max is 0.0"),
+    (["--grip", "2"], "--grip is 2.0"),
+    (["--ay-max", "4", "--grip", "0.5"], "--ay-max and --grip exclude each other"),
+    (["--closed", "--no-closed"], "--closed and --no-closed exclude each other"),
+    (["--delay", "-1"], "--delay is -1, but must be from 0 to 30 periods"),
+    (["--delay", "0.5"], "Error parsing --delay"),
+    (["--step-timeout", "0"], "--step-timeout is 0.0"),
+    (["--stiffness", "oracl"], "invalid choice 'oracl'"),
+    (["--absent"], "Unrecognized options: --absent"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "sentence"), PARAMETERS)
+def test_bad_options_are_one_sentence(run, arguments, sentence, tmp_path):
+    code, out, err = run(*arguments)
+    assert code == 2 and out == ""
+    assert sentence in err
+    assert err.startswith("Error: ") and err.count("\n") == 1
+    assert not list(tmp_path.iterdir())  # nothing was begun
+
+
+CIRCLE = [(3.0 * np.cos(a), 3.0 * np.sin(a)) for a in np.linspace(0, 6.2, 60)]
+FILES = [
+    ("absent", None, "absent.csv"),
+    ("empty", "", "empty.csv"),
+    ("header", "# x_m,y_m\n", "header.csv"),
+    ("column", "# x_m\n1\n2\n3\n", "column.csv"),
+    ("text", "# x_m,y_m\na,b\nc,d\n", "text.csv"),
+    ("nan", "# x_m,y_m\n" + "0,0\n5,0\nnan,0\n15,0\n20,0\n", "nan.csv"),
+    ("short", "# x_m,y_m\n0,0\n1,0\n", "short.csv"),
+    ("tight", "# x_m,y_m\n" + "".join(f"{x},{y}\n" for x, y in CIRCLE), "tight.csv"),
+    ("slow", "# x_m,y_m,w_tr_right_m,w_tr_left_m,vx_mps\n"
+     + "".join(f"{x},0,3,3,-1\n" for x in range(60)), "slow.csv"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "text", "sentence"), FILES, ids=[f[0] for f in FILES])
+def test_bad_tracks_are_one_sentence(run, tmp_path, name, text, sentence):
+    file = tmp_path / f"{name}.csv"
+    if text is not None:
+        file.write_text(text)
+    code, out, err = run("--scenario", file)
+    assert code == 2 and out == ""
+    assert sentence in err
+    assert err.startswith("Error: ") and err.count("\n") == 1
+
+
+@pytest.mark.parametrize("option", ["--out", "--json"])
+def test_a_place_that_cannot_be_written_is_found_before_driving(run, road, tmp_path, option):
+    (tmp_path / "file").write_text("in the way")
+    target = tmp_path / "file" / "x" if option == "--out" else tmp_path / "file" / "x.json"
+    code, out, err = run("--scenario", road, option, target)
+    assert code == 2 and out == ""
+    assert "Cannot write into" in err and err.count("\n") == 1
+
+
+BROKEN = """
+import time
+class Base:
+    def reset(self, rng): pass
+class Nan(Base):
+    def command(self, state, preview): return float("nan"), 0.0
+class Shape(Base):
+    def command(self, state, preview): return 1.0, 2.0, 3.0
+class Raises(Base):
+    def command(self, state, preview): raise ValueError("not today")
+class Hangs(Base):
+    def command(self, state, preview):
+        while True: pass
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [
+        ("Nan", "returned (nan, 0.0) at t = 0.000 s, but must return two finite numbers"),
+        ("Shape", "returned (1.0, 2.0, 3.0)"),
+        ("Raises", "raised in command at t = 0.000 s: ValueError: not today"),
+        ("Hangs", "did not return from command within 0.5 s at t = 0.000 s"),
+        ("Absent", "has no class 'Absent'"),
+        ("Base", "has no method 'command'"),
+    ],
+)
+def test_bad_controllers_are_one_sentence(run, road, user_module, name, sentence):
+    module = user_module(BROKEN)
+    code, out, err = run(
+        "--scenario", road, "--controller", f"{module}:{name}", "--step-timeout", 0.5
+    )
+    assert code == 2 and out == ""
+    assert f"'mine:{name}'" in err and sentence in err
+    assert err.startswith("Error: ") and err.count("\n") == 1
+
+
+def test_a_run_that_fails_midway_does_not_look_complete(run, road, user_module, tmp_path):
+    user_module(BROKEN)
+    folder = tmp_path / "out"
+    assert run("--scenario", road, "--out", folder)[0] == 0
+    assert (folder / "metrics.json").exists()
+    assert run("--scenario", road, "--out", folder, "--controller", "mine:Nan")[0] == 2
+    assert not (folder / "metrics.json").exists()
+    assert not (folder / "trace.parquet").exists()
+    assert not list((folder / "figures").glob("*.png"))
+
+
+def test_a_mistyped_option_leaves_the_last_run_alone(run, road, tmp_path):
+    folder = tmp_path / "out"
+    assert run("--scenario", road, "--out", folder)[0] == 0
+    assert run("--scenario", road, "--out", folder, "--controller", "mine")[0] == 2
+    assert (folder / "metrics.json").exists()
+
+
+# Pictures, displays, interrupts -----------------------------------------------------------------
+
+
+def test_a_machine_that_cannot_draw_is_a_warning(run, road, monkeypatch):
+    from lpvmpc import render
+    from lpvmpc.errors import RenderError
+
+    def cannot(*arguments, **options):
+        raise RenderError("No EGL on this machine.")
+
+    monkeypatch.setattr(render, "render_video", cannot)
+    code, out, err = run("--scenario", road, "--render", "--out", "here")
+    assert code == 0 and "Completed." in out
+    assert err == "Warning: no video: No EGL on this machine.\n"
+
+
+def test_the_viewer_needs_a_display(run, road, monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    code, out, err = run("--scenario", road, "--view")
+    assert code == 2 and out == ""
+    assert "--view needs a display" in err and err.count("\n") == 1
+
+
+SLOW = """
+import time
+class Slow:
+    def reset(self, rng): open("started", "w").close()
+    def command(self, state, preview):
+        time.sleep(0.05)
+        return 0.0, 0.0
+"""
+
+
+def test_an_interrupt_saves_what_was_measured(road, user_module, tmp_path, root):
+    user_module(SLOW)
+    process = subprocess.Popen(
+        [sys.executable, str(root / "eval" / "track.py"), "--scenario", str(road),
+         "--controller", "mine:Slow", "--out", "here"],
+        cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    deadline = time.monotonic() + 120.0
+    while not (tmp_path / "started").exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    time.sleep(0.5)
+    os.kill(process.pid, signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert "Not completed: interrupted." in out
+    result = json.loads((tmp_path / "here" / "metrics.json").read_text())
+    assert result["reason"] == "interrupted" and not result["completed"]
+    assert 0.0 < result["duration_s"] < 4.0
+    assert (tmp_path / "here" / "trace.parquet").exists()
