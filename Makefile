@@ -40,7 +40,7 @@ $(VENV)/.dev: pyproject.toml constraints.txt | $(BIN)/python
 	@touch $@ $(VENV)/.run
 
 # Pictures need an OpenGL that works without a display. Only a warning: all else works without it.
-egl:
+egl: | $(BIN)/python
 	@if [ "$$MUJOCO_GL" = egl ]; then $(BIN)/python -c \
 	  'import ctypes.util, sys; sys.exit(not ctypes.util.find_library("EGL"))' || \
 	  echo "No EGL here, so no video: install it with: apt-get install libegl1 libgl1-mesa-dri" >&2; fi

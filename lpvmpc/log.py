@@ -64,7 +64,7 @@ class Log:
     columns: dict[str, npt.NDArray[Any]]
     """Trace, one array of shape (n,) per column; units are in the names."""
     timing: dict[str, Array]
-    """Thread CPU times of the controller [us], one array of shape (n,) per column."""
+    """Thread CPU times of the controller's calls [us], one array of equal length per column."""
     meta: dict[str, Any]
     """Scenario, controller, seed, options, outcome, versions, hash of the model."""
     scenario: Scenario
@@ -104,6 +104,8 @@ class Recorder:
         self.preview = np.full((rows, 3, Np + 1), np.nan)  # x, y, psi of the reference
         self.ey = np.full((rows, Np + 1), np.nan)  # predicted
         self.times = np.zeros((rows, len(TIMES)))
+        self.calls = 0
+        """Number of calls of the controller: one per row, but for the instant of failure."""
 
     def prediction(self, preview: Preview, prediction: Array) -> None:
         """Keep the predicted states (vx, vy, r, ey, epsi), shape (Np + 1, 5), of this row.
@@ -135,7 +137,7 @@ class Recorder:
             columns[f"pred_y_m_{k}"] = pred_y[:, k].copy()
         for i in range(self.qpos.shape[1]):
             columns[f"qpos_{i}"] = self.qpos[:n, i].copy()
-        timing = {name: self.times[:n, i].copy() for i, name in enumerate(TIMES)}
+        timing = {name: self.times[: self.calls, i].copy() for i, name in enumerate(TIMES)}
         return Log(columns, timing, meta, scenario, weights)
 
 

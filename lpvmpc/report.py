@@ -40,7 +40,7 @@ def model_sha256(model: mujoco.MjModel) -> str:
 
     binary = np.empty(mujoco.mj_sizeModel(model), np.uint8)
     mujoco.mj_saveModel(model, None, binary)
-    return hashlib.sha256(binary).hexdigest()
+    return hashlib.sha256(binary.tobytes()).hexdigest()
 
 
 @cache

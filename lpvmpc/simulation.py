@@ -100,8 +100,8 @@ def simulate(
     wall = time.perf_counter() - wall
     meta = loop.meta(reason, wall)
     meta.update(seed=seed, options={"delay": delay, **(options or {})})
-    weights = getattr(controller, "weights", {})
-    weights = asdict(weights) if is_dataclass(weights) else dict(weights)
+    weights: Any = getattr(controller, "weights", {})
+    weights = asdict(weights) if is_dataclass(weights) else dict(weights)  # type: ignore[arg-type]
     return loop.recorder.log(meta, scenario, weights)
 
 
@@ -155,7 +155,7 @@ class _Loop:
             standing = state.vx < STUCK_SPEED < preview.vx_ref[0]
             stuck = stuck + 1 if standing else 0
             reason = self._lost(preview.ey, preview.epsi, t, stuck * Ts)
-            wind_speed = scenario.wind.speed(t, s)
+            wind_speed = float(scenario.wind.speed(t, s))
             if reason:  # this instant counts, with the command that led to it
                 self._record(t, state, preview, held, wind_speed, None)
                 return reason
@@ -244,24 +244,25 @@ class _Loop:
         wind_speed: float,
         step_us: float | None,
     ) -> None:
-        """Fill one row; without a step time there was no call of the controller."""
+        """Fill one row; `step_us` is None where the controller was not called."""
         log, plant = self.recorder, self.plant
         k = log.n
         log.wheels[k] = plant.wheels
         log.qpos[k] = plant.qpos
         residual = math.nan
-        diagnostics = getattr(self.controller, "diagnostics", None)
-        if step_us is not None and diagnostics is not None:
-            self.has_qp = True
-            residual = diagnostics.kkt_residual
-            log.solved[k] = diagnostics.solved
-            log.fallback[k] = FALLBACKS.index(diagnostics.fallback)
-            if diagnostics.prediction is not None:
-                log.prediction(preview, diagnostics.prediction)
-            times = diagnostics.build_us, diagnostics.solve_us, diagnostics.check_us
-            log.times[k] = (t, step_us, *times)
-        else:
-            log.times[k] = (t, step_us or 0.0, 0.0, 0.0, 0.0)
+        if step_us is not None:
+            times = 0.0, 0.0, 0.0
+            diagnostics = getattr(self.controller, "diagnostics", None)
+            if diagnostics is not None:
+                self.has_qp = True
+                residual = diagnostics.kkt_residual
+                log.solved[k] = diagnostics.solved
+                log.fallback[k] = FALLBACKS.index(diagnostics.fallback)
+                times = diagnostics.build_us, diagnostics.solve_us, diagnostics.check_us
+                if diagnostics.prediction is not None:
+                    log.prediction(preview, diagnostics.prediction)
+            log.times[log.calls] = t, step_us, *times
+            log.calls += 1
         log.motion[k] = (
             t, preview.s, state.x, state.y, state.psi, state.vx, state.vy, state.r, state.delta,
             state.ax, state.ay, preview.ey, preview.epsi, preview.kappa[0], preview.vx_ref[0],
