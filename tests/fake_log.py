@@ -10,38 +10,28 @@ from typing import Any
 
 import numpy as np
 
+from lpvmpc.path import Path
+
 TS = 0.033
 NP = 10
 WHEELS = ("fl", "fr", "rl", "rr")
 LF, LR, HALF_TRACK, H, M, G = 1.2, 1.6, 0.755, 0.55, 1575.0, 9.81
 
 
-class FakePath:
-    """A winding road with the parts of `lpvmpc.path.Path` that pictures use."""
-
-    closed = False
-
-    def __init__(self, length: float = 600.0) -> None:
-        self.length = length
-        self.s = np.arange(0.0, length + 0.05, 0.1)
-        self.kappa = 0.008 * np.sin(self.s / 25.0) + 0.006 * np.sin(self.s / 61.0 + 1.0)
-        self.psi = np.concatenate([[0.0], np.cumsum(0.05 * (self.kappa[1:] + self.kappa[:-1]))])
-        self.x = np.concatenate([[0.0], np.cumsum(0.1 * np.cos(self.psi[:-1]))])
-        self.y = np.concatenate([[0.0], np.cumsum(0.1 * np.sin(self.psi[:-1]))])
-
-    def at(self, s: Any) -> tuple[Any, Any, Any, Any]:
-        """Position, heading and curvature at arc length s, straight beyond both ends."""
-        inside = np.clip(s, 0.0, self.s[-1])
-        beyond = np.asarray(s) - inside
-        x, y, psi, kappa = (np.interp(inside, self.s, v)
-                            for v in (self.x, self.y, self.psi, self.kappa))
-        return x + beyond * np.cos(psi), y + beyond * np.sin(psi), psi, kappa
+def fake_path(length: float = 600.0, closed: bool = False) -> Path:
+    """A winding road, or a rounded loop of about the same length."""
+    if closed:
+        s = np.linspace(0.0, length, int(length / 0.2) + 1)
+        kappa = 2.0 * np.pi / length * (1.0 + 0.6 * np.cos(4.0 * np.pi * s / length))
+        return Path(kappa, length, closed=True)
+    s = np.arange(0.0, length + 0.1, 10.0)
+    return Path.from_curvature(0.008 * np.sin(s / 25.0) + 0.006 * np.sin(s / 61.0 + 1.0), 10.0)
 
 
 def fake_log(duration: float = 20.0, name: str = "paper", length: float = 600.0,
              qpos: bool = True) -> SimpleNamespace:
     """A log of `duration` seconds: speed 8..18 m/s, millimetre errors, a gusty side wind."""
-    path = FakePath(length)
+    path = fake_path(length)
     t = np.arange(0.0, duration, TS)
     n = t.size
     vx = 13.0 + 5.0 * np.sin(t / 6.0 - 0.8)
@@ -93,7 +83,7 @@ def fake_log(duration: float = 20.0, name: str = "paper", length: float = 600.0,
 def _qpos(columns: dict[str, Any], s: Any) -> dict[str, Any]:
     """Generalised coordinates of the packaged car: free joint, slides, steering, spins."""
     import mujoco
-    from lpvmpc.render import scene_file
+    from lpvmpc.scenery import scene_file
 
     model = mujoco.MjModel.from_xml_path(str(scene_file()))
     n = s.size

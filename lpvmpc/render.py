@@ -1,0 +1,456 @@
+"""Video of a run, made from its log alone.
+
+A frame is composed in three steps that can be used apart: `Motion` tells where everything is at
+the frame's time, `Stage.picture` draws the world, `Hud.draw` writes over it. `render_video` runs
+them for every frame and encodes H.264 (VP9 where PyAV comes without libx264), which browsers play.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path as FilePath
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from lpvmpc.errors import OptionError, OutputError, RenderError
+from lpvmpc.hud import Hud
+from lpvmpc.scenery import Scenery, build
+
+if TYPE_CHECKING:
+    import av.container
+    import av.video.stream
+
+Array = npt.NDArray[np.float64]
+Image = npt.NDArray[np.uint8]
+
+WHEELS = ("fl", "fr", "rl", "rr")
+SIGHT = 260.0
+"""Distance to which the road and what stands beside it are drawn [m]."""
+ARROW = 0.45e-3
+"""Length of a force arrow [m/N]."""
+BLUE, ORANGE, WHITE = (0.34, 0.71, 0.91), (0.95, 0.55, 0.05), (1.0, 1.0, 1.0)
+
+
+def render_video(log: Any, path: str | FilePath, *, width: int = 1280, height: int = 720,
+                 fps: int = 30, progress: Callable[[float], None] | None = None) -> FilePath:
+    """Draw a run as a video that a browser plays, in real time.
+
+    Interrupted by Ctrl-C, the file ends at the last whole frame, plays, and is kept under its
+    name; then KeyboardInterrupt is raised.
+
+    Args:
+        log: Log of `simulate`, with two rows or more.
+        path: File to write, usually .mp4. It appears under its name only when it is closed.
+        width: Width of the picture [px], even.
+        height: Height of the picture [px], even.
+        fps: Frames per simulated second.
+        progress: Called after each frame with the finished fraction; without it a progress bar is
+            shown when stderr is a terminal.
+
+    Returns:
+        The file written.
+
+    Raises:
+        OptionError: A size or frame rate that cannot be encoded.
+        RenderError: No OpenGL on this machine, no encoder, or nothing to draw.
+        OutputError: The file cannot be written.
+    """
+    for name, value in (("width", width), ("height", height)):
+        if not 64 <= value <= 4096 or value % 2:
+            raise OptionError(name, value, "an even number of pixels from 64 to 4096")
+    if not 1 <= fps <= 240:
+        raise OptionError("fps", fps, "a number of frames per second from 1 to 240")
+    path = FilePath(path)
+    motion = Motion(log, fps)
+    stage = Stage(log, width, height, 1.0 / fps)
+    try:
+        hud = run_hud(log, width, height)
+        with interrupts() as interrupted, Encoder(path, width, height, fps) as video:
+            for k in _counted(len(motion), progress):
+                now = motion.at(k)
+                frame = stage.picture(now)
+                hud.draw(frame, instruments(now))
+                video.add(frame)
+                if interrupted():
+                    raise KeyboardInterrupt
+    finally:
+        stage.close()
+    return path
+
+
+class Motion:
+    """Where the car was at each frame, between the rows of a log.
+
+    Everything is interpolated linearly, the attitude of the car along the shortest turn. Wheel
+    spins are angles that keep counting, so they need no care.
+    """
+
+    def __init__(self, log: Any, fps: float) -> None:
+        """Interpolate all columns at the frames' times."""
+        c = log.columns
+        if len(c["t_s"]) < 2 or "qpos_0" not in c:
+            raise RenderError("The log has fewer than two rows or no qpos, so there is no video.")
+        t = np.asarray(c["t_s"], dtype=float)
+        self.t = np.arange(t[0], t[-1] + 1e-9, 1.0 / fps)
+        self.row = np.clip(np.searchsorted(t, self.t, side="right") - 1, 0, t.size - 2)
+        self.part = (self.t - t[self.row]) / (t[self.row + 1] - t[self.row])
+        self.values = {name: self._between(np.asarray(column, dtype=float))
+                       for name, column in c.items() if not name.startswith(("qpos_", "pred_"))}
+        self.values["step_us"] = np.asarray(log.timing["step_us"], dtype=float)[self.row]
+        nq = sum(name.startswith("qpos_") for name in c)
+        qpos = np.stack([c[f"qpos_{i}"] for i in range(nq)], axis=1).astype(float)
+        self.qpos = self._between(qpos)
+        self.qpos[:, 3:7] = slerp(qpos[self.row, 3:7], qpos[self.row + 1, 3:7], self.part)
+        steps = sum(name.startswith("pred_x_m_") for name in c)
+        self.horizon = self._between(np.stack(
+            [np.stack([c[f"pred_{a}_m_{k}"] for a in "xy"], axis=1) for k in range(steps)],
+            axis=1)) if steps else np.empty((self.t.size, 0, 2))  # (frames, Np + 1, 2)
+
+    def __len__(self) -> int:
+        return self.t.size
+
+    def at(self, k: int) -> dict[str, Any]:
+        """Columns of the log at frame k, with `qpos` (nq,) and `horizon` (Np + 1, 2)."""
+        return {name: float(v[k]) for name, v in self.values.items()} | {
+            "qpos": self.qpos[k], "horizon": self.horizon[k]}
+
+    def _between(self, column: Array) -> Array:
+        """Linear interpolation of rows, shape (rows, ...) to (frames, ...)."""
+        part = self.part.reshape((-1,) + (1,) * (column.ndim - 1))
+        return (1.0 - part) * column[self.row] + part * column[self.row + 1]
+
+
+def slerp(a: Array, b: Array, part: Array) -> Array:
+    """Shortest turn from quaternion a to b, shape (n, 4), at part 0..1, shape (n,)."""
+    a = a / np.linalg.norm(a, axis=1, keepdims=True)
+    b = b / np.linalg.norm(b, axis=1, keepdims=True)
+    dot = np.sum(a * b, axis=1)
+    b = np.where(dot[:, None] < 0.0, -b, b)
+    angle = np.arccos(np.clip(np.abs(dot), 0.0, 1.0))
+    # For equal attitudes the quotient of sines is that of the angles.
+    sine = np.where(angle > 1e-6, np.sin(angle), 1.0)
+    wa = np.where(angle > 1e-6, np.sin((1.0 - part) * angle) / sine, 1.0 - part)
+    wb = np.where(angle > 1e-6, np.sin(part * angle) / sine, part)
+    return wa[:, None] * a + wb[:, None] * b
+
+
+class Chase:
+    """Camera behind the car that looks where the road goes.
+
+    Its heading follows the road's, `LOOK_AHEAD` seconds before the car, as a critically damped
+    second-order system: psi'' = w^2 (target - psi) - 2 w psi'. It swings through bends without
+    overshoot, and does not shake with the car.
+    """
+
+    LOOK_AHEAD = 0.7
+    W = 2.6
+    BESIDE = math.radians(-17.0)
+    """Angle to the car's tail: wheels, forces and predicted path stay visible [rad]."""
+
+    def __init__(self, path: Any, dt: float) -> None:
+        """Args: the path driven, and the time between frames [s]."""
+        self.path, self.dt = path, dt
+        self.heading: float | None = None
+        self.rate = 0.0
+        self.camera = mujoco.MjvCamera()
+        self.camera.type = mujoco.mjtCamera.mjCAMERA_FREE
+
+    def follow(self, now: dict[str, Any]) -> mujoco.MjvCamera:
+        """Camera of the next frame."""
+        ahead = now["s_m"] + self.LOOK_AHEAD * max(now["vx_mps"], 0.0)
+        target = float(self.path.at(ahead)[2])
+        if self.heading is None:
+            self.heading = target
+        # exact step of the critically damped system towards a constant target
+        error, decay = self.heading - target, math.exp(-self.W * self.dt)
+        slope = self.rate + self.W * error
+        self.heading = target + (error + slope * self.dt) * decay
+        self.rate = (self.rate - self.W * slope * self.dt) * decay
+        c, s = math.cos(self.heading), math.sin(self.heading)
+        self.camera.lookat[:] = (now["x_m"] + 2.0 * c, now["y_m"] + 2.0 * s, 0.1)
+        self.camera.distance = 10.5
+        self.camera.azimuth = math.degrees(self.heading + self.BESIDE)
+        self.camera.elevation = -16.0
+        return self.camera
+
+
+class Stage:
+    """Draws the world: car, road, roadside, predicted path, forces and wind."""
+
+    def __init__(self, log: Any, width: int, height: int, dt: float,
+                 chase: Chase | None = None) -> None:
+        """Compile the scene for the log's road and open OpenGL.
+
+        Raises:
+            RenderError: No OpenGL on this machine.
+        """
+        self.context = gl_context(width, height)
+        self.context.make_current()
+        try:
+            self.scenery: Scenery = build(log.scenario.path, width=width, height=height)
+            model = self.model = self.scenery.model
+            self.data = mujoco.MjData(model)
+            self.scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 200)
+            self.gl = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+            mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self.gl)
+        except BaseException:
+            self.context.free()
+            raise
+        self.option = mujoco.MjvOption()
+        self.option.sitegroup[:] = 0
+        self.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
+        self.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
+        self.scene.flags[mujoco.mjtRndFlag.mjRND_HAZE] = False
+        self.scene.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = False  # there is a dome
+        self.rect = mujoco.MjrRect(0, 0, width, height)
+        self.pixels = np.empty((height, width, 3), dtype=np.uint8)
+        self.chase = chase or Chase(log.scenario.path, dt)
+        self.patch = [int(model.site(f"contact_{wheel}").id) for wheel in WHEELS]
+        self.perturb = mujoco.MjvPerturb()
+
+    def picture(self, now: dict[str, Any]) -> Image:
+        """RGB picture of one instant, shape (height, width, 3)."""
+        model, data = self.model, self.data
+        data.qpos[:] = now["qpos"]
+        self.scenery.place(data, now["x_m"], now["y_m"], now["psi_rad"], SIGHT)
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_camlight(model, data)
+        self.context.make_current()
+        mujoco.mjv_updateScene(model, data, self.option, self.perturb, self.chase.follow(now),
+                               mujoco.mjtCatBit.mjCAT_ALL, self.scene)
+        self._horizon(now["horizon"])
+        self._forces(now)
+        self._wind(now)
+        mujoco.mjr_render(self.rect, self.scene, self.gl)
+        mujoco.mjr_readPixels(self.pixels, None, self.rect, self.gl)
+        return np.ascontiguousarray(self.pixels[::-1])  # OpenGL's first row is the lowest
+
+    def close(self) -> None:
+        """Give OpenGL's resources back."""
+        self.gl.free()
+        self.context.free()
+
+    def _add(self, kind: Any, size: Any, place: Any, colour: Any, frame: Any = None) -> Any:
+        """One more body to draw in this frame; silently none when the scene is full."""
+        if self.scene.ngeom >= self.scene.maxgeom:
+            return None
+        geom = self.scene.geoms[self.scene.ngeom]
+        self.scene.ngeom += 1
+        mujoco.mjv_initGeom(geom, kind, np.asarray(size, float), np.asarray(place, float),
+                            (np.eye(3) if frame is None else frame).ravel(),
+                            np.asarray(colour, np.float32))
+        geom.category = mujoco.mjtCatBit.mjCAT_DECOR
+        geom.emission = 0.65
+        geom.specular = 0.0
+        return geom
+
+    def _arrow(self, start: Any, end: Any, thickness: float, colour: Any) -> None:
+        geom = self._add(mujoco.mjtGeom.mjGEOM_ARROW, np.ones(3), np.zeros(3), colour)
+        if geom is not None:
+            mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_ARROW, thickness,
+                                 np.asarray(start, float), np.asarray(end, float))
+
+    def _horizon(self, points: Array) -> None:
+        """Predicted path as a ribbon on the road, with a dot per control period."""
+        points = points[np.isfinite(points).all(axis=1)]
+        for a, b in zip(points[:-1], points[1:], strict=True):
+            d = b - a
+            length = float(np.hypot(*d))
+            if length < 1e-3:
+                continue
+            c, s = d / length
+            frame = np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))
+            self._add(mujoco.mjtGeom.mjGEOM_BOX, (0.5 * length, 0.08, 0.004),
+                      (*(0.5 * (a + b)), 0.02), (*ORANGE, 1.0), frame)
+            self._add(mujoco.mjtGeom.mjGEOM_CYLINDER, (0.13, 0.006, 0.0), (*b, 0.024),
+                      (*ORANGE, 1.0))
+
+    def _forces(self, now: dict[str, Any]) -> None:
+        """Tire force at each contact patch, in the plane of the road, in its friction circle."""
+        for wheel, site in zip(WHEELS, self.patch, strict=True):
+            Fx, Fy, Fz = (now[f"F{a}_{wheel}_N"] for a in "xyz")
+            if not math.isfinite(Fx + Fy + Fz) or Fz <= 0.0:
+                continue
+            c, s = self.data.site_xmat[site].reshape(3, 3)[:2, 0]
+            force = np.array((c * Fx - s * Fy, s * Fx + c * Fy))
+            x, y = self.data.site_xpos[site][:2]
+            use = min(float(np.hypot(Fx, Fy)) / max(now[f"mu_{wheel}"] * Fz, 1.0), 1.0)
+            colour = (0.2 + 0.8 * use, 0.85 - 0.45 * use, 0.35 - 0.25 * use, 1.0)
+            if np.hypot(*force) * ARROW > 0.05:
+                self._arrow((x, y, 0.06), (*(np.array((x, y)) + ARROW * force), 0.06), 0.055,
+                            colour)
+
+    def _wind(self, now: dict[str, Any]) -> None:
+        """Wind as arrows on the windward side of the car; wind > 0 blows from the left."""
+        speed = now["wind_mps"]
+        if not math.isfinite(speed) or abs(speed) < 0.5:
+            return
+        c, s = math.cos(now["psi_ref_rad"]), math.sin(now["psi_ref_rad"])
+        blow = math.copysign(1.0, speed) * np.array((s, -c))
+        length = 0.035 * abs(speed)
+        for along in (-1.1, 0.0, 1.1):
+            tip = np.array((now["x_m"] + along * c, now["y_m"] + along * s)) - 1.15 * blow
+            self._arrow((*(tip - length * blow), 1.0), (*tip, 1.0), 0.05, (*BLUE, 0.85))
+
+
+class Encoder:
+    """A video file that appears under its name when it is closed, and always plays."""
+
+    def __init__(self, path: FilePath, width: int, height: int, fps: int) -> None:
+        """Args: the file to write, the size of the pictures [px], frames per second."""
+        self.path = path
+        self.part = path.with_name(f".{path.stem}.part{path.suffix or '.mp4'}")
+        self.size, self.fps = (width, height), fps
+        self.frames = 0
+
+    def __enter__(self) -> Encoder:
+        import av
+
+        av.logging.set_level(av.logging.ERROR)
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self.container: av.container.OutputContainer = av.open(
+                str(self.part), "w", format="mp4", options={"movflags": "+faststart"})
+        except OSError as error:
+            raise OutputError(
+                f"Cannot write {str(self.path)!r}: {error.strerror or error}.") from error
+        self.stream = _stream(self.container, self.fps)
+        self.stream.width, self.stream.height = self.size
+        self.stream.pix_fmt = "yuv420p"
+        return self
+
+    def add(self, frame: Image) -> None:
+        """Append one RGB picture."""
+        import av
+
+        picture = av.VideoFrame.from_ndarray(frame, format="rgb24")
+        for packet in self.stream.encode(picture):
+            self.container.mux(packet)
+        self.frames += 1
+
+    def __exit__(self, kind: type[BaseException] | None, error: object, trace: object) -> None:
+        """Finish the file; keep it unless something other than Ctrl-C went wrong."""
+        try:
+            if self.frames:
+                for packet in self.stream.encode():
+                    self.container.mux(packet)
+        finally:
+            self.container.close()
+        if self.frames and (kind is None or issubclass(kind, KeyboardInterrupt)):
+            os.replace(self.part, self.path)
+        else:
+            self.part.unlink(missing_ok=True)
+
+
+def _stream(container: Any, fps: int) -> Any:
+    """Video stream of the best encoder that this PyAV has."""
+    import av
+
+    for codec, options in (("libx264", {"preset": "veryfast", "crf": "23"}),
+                           ("libvpx-vp9", {"deadline": "realtime", "cpu-used": "8", "crf": "34",
+                                           "b": "0", "row-mt": "1"})):
+        try:
+            av.codec.Codec(codec, "w")
+        except ValueError:  # UnknownCodecError
+            continue
+        return container.add_stream(codec, rate=fps, options=options)
+    raise RenderError("PyAV has neither libx264 nor libvpx-vp9; reinstall it: pip install av.")
+
+
+def run_hud(log: Any, width: int, height: int) -> Hud:
+    """Instruments scaled to a run."""
+    c, path = log.columns, log.scenario.path
+    road = np.stack(path.at(np.linspace(0.0, path.length, 400))[:2], axis=1)
+
+    def full(values: Any, steps: tuple[float, ...]) -> float:
+        finite = np.abs(values[np.isfinite(values)])
+        peak = float(np.max(finite, initial=0.0))
+        return next((step for step in steps if step >= peak), steps[-1])
+
+    scales = {
+        "ey_mm": full(1e3 * c["ey_m"], (2, 5, 10, 20, 50, 100, 200, 500, 1000, 5000)),
+        "steer_deg": full(np.rad2deg(c["delta_rad"]), (5, 10, 20, 30)),
+        "acc_mps2": full(np.hypot(c["ax_mps2"], c["ay_mps2"]), (4, 8, 12)),
+        "wind_mps": max(full(c["wind_mps"], (10, 20, 40, 60)), 10.0),
+    }
+    return Hud(width, height, title=str(log.meta["scenario"]), road=road, scales=scales,
+               subtitle=str(log.meta["controller"]))
+
+
+def instruments(now: dict[str, Any]) -> dict[str, float]:
+    """What the instruments show at one instant, in their units."""
+    return {
+        **{name: now[name] for name in ("t_s", "vx_mps", "vx_ref_mps", "ax_mps2", "ay_mps2",
+                                        "wind_mps", "x_m", "y_m", "psi_rad")},
+        "ey_mm": 1e3 * now["ey_m"], "steer_deg": math.degrees(now["delta_rad"]),
+        "step_ms": 1e-3 * now["step_us"],
+    }
+
+
+def gl_context(width: int, height: int) -> Any:
+    """An OpenGL context without a window: EGL, or what MUJOCO_GL says.
+
+    Raises:
+        RenderError: It cannot be opened; the sentence names what to install.
+    """
+    backend = os.environ.get("MUJOCO_GL", "").lower().strip() or "egl"
+    try:
+        if backend == "egl":
+            from mujoco.egl import GLContext
+        elif backend == "osmesa":
+            from mujoco.osmesa import GLContext
+        elif backend in ("glfw", "on", "enable", "enabled", "true", "1"):
+            from mujoco.glfw import GLContext
+        else:
+            raise RenderError(f"MUJOCO_GL is {backend!r}, which draws nothing; unset it, or set it "
+                              "to egl, osmesa or glfw.")
+        return GLContext(width, height)
+    except RenderError:
+        raise
+    except Exception as error:  # PyOpenGL raises whatever it runs into
+        raise RenderError(
+            f"No OpenGL through {backend} ({type(error).__name__}); on Debian and Ubuntu install "
+            "it with `apt-get install libegl1 libgl1-mesa-dri libegl-mesa0`.") from error
+
+
+@contextlib.contextmanager
+def interrupts() -> Iterator[Callable[[], bool]]:
+    """Collect Ctrl-C instead of raising it in the middle of a frame; gives a function to ask."""
+    pressed = False
+
+    def note(*_: object) -> None:
+        nonlocal pressed
+        pressed = True
+
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: pressed
+        return
+    before = signal.signal(signal.SIGINT, note)
+    try:
+        yield lambda: pressed
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _counted(count: int, progress: Callable[[float], None] | None) -> Iterator[int]:
+    """0, 1, ..., count - 1, telling the progress."""
+    if progress is not None or not sys.stderr.isatty():
+        for k in range(count):
+            yield k
+            if progress is not None:
+                progress((k + 1) / count)
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        yield from bar.track(range(count), description="filming")
