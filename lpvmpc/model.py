@@ -159,6 +159,8 @@ def parameters(model: mujoco.MjModel) -> VehicleParams:
         Cr=2.0 * tire.cornering_stiffness(tire_r, Fz_r),
         trail_f=tire.pneumatic_trail(tire_f, 0.0, Fz_f),
         trail_r=tire.pneumatic_trail(tire_r, 0.0, Fz_r),
+        sigma_f=tire.relaxation_lengths(tire_f, Fz_f)[1],
+        sigma_r=tire.relaxation_lengths(tire_r, Fz_r)[1],
         c_roll=tire_f[tire.QSY1],
         rho_air=rho_air,
         CdA=CdA,

@@ -115,6 +115,10 @@ class VehicleParams:
     """Pneumatic trail of the front tires at small slip [m]."""
     trail_r: float
     """Pneumatic trail of the rear tires at small slip [m]."""
+    sigma_f: float
+    """Lateral relaxation length of the front tires at static load [m]."""
+    sigma_r: float
+    """Lateral relaxation length of the rear tires at static load [m]."""
     c_roll: float
     """Rolling resistance coefficient [-]."""
     rho_air: float
