@@ -26,6 +26,7 @@ from lpvmpc.report import commit, machine
 
 if TYPE_CHECKING:
     from lpvmpc.log import Log
+    from lpvmpc.path import Path as Road
     from lpvmpc.plant import Plant
 
 Number = Annotated[float | None, tyro.conf.arg(metavar="FLOAT")]
@@ -100,7 +101,8 @@ def main(options: Options) -> int:
     if options.json is not None:
         cli.writable_folder(options.json.parent)
     forget_last_run(out)
-    with Progress(plant if options.view else None, plant.Ts) as progress:
+    viewer = Viewer(plant, scenario.path) if options.view else None
+    with Progress(viewer) as progress:
         log = simulate(
             plant,
             controller,
@@ -116,7 +118,7 @@ def main(options: Options) -> int:
     print_table(result, log)
     interrupted = not save(options, log, result, out)
     print(f"Saved {out}/ (metrics.json, trace.parquet, timing.parquet, figures/)")
-    if video is not None and not interrupted:
+    if video is not None and len(log) > 1 and not interrupted:
         interrupted = not film(log, video)
     if interrupted:
         return cli.INTERRUPTED
@@ -170,20 +172,14 @@ def forget_last_run(out: Path) -> None:
 
 
 class Progress:
-    """Progress bar on a terminal and, where asked for, the live viewer at real-time speed."""
+    """Progress bar on a terminal and, where asked for, the live viewer."""
 
-    def __init__(self, watched: Plant | None, Ts: float):
-        self.watched, self.Ts = watched, Ts
+    def __init__(self, viewer: Viewer | None = None):
+        self.viewer = viewer
         self.bar: Any = None
-        self.viewer: Any = None
         self.calls = 0
 
     def __enter__(self) -> Progress:
-        if self.watched is not None:
-            from mujoco import viewer
-
-            self.viewer = viewer.launch_passive(self.watched.model, self.watched.data)
-            self.start = time.monotonic()
         if sys.stderr.isatty():
             from rich.console import Console
             from rich.progress import Progress as Bar
@@ -198,17 +194,60 @@ class Progress:
         self.calls += 1
         if self.bar is not None and self.calls % 30 == 0:
             self.bar.update(0, completed=fraction)
-        if self.viewer is not None and self.viewer.is_running():
-            self.viewer.sync()
-            ahead = self.calls * self.Ts - (time.monotonic() - self.start)
-            if ahead > 0.0:
-                time.sleep(ahead)
+        if self.viewer is not None:
+            self.viewer.show()
 
     def __exit__(self, *error: object) -> None:
         if self.bar is not None:
             self.bar.stop()
         if self.viewer is not None:
             self.viewer.close()
+
+
+class Viewer:
+    """MuJoCo's interactive viewer on the scenery of the road, not faster than real time.
+
+    It shows a copy: nothing done in its window reaches the car. When the window is closed the run
+    goes on at full speed.
+    """
+
+    def __init__(self, plant: Plant, road: Road):
+        import mujoco
+        from mujoco import viewer
+
+        from lpvmpc import scenery
+
+        self.plant = plant
+        self.scenery = scenery.build(road, width=1280, height=720)
+        self.data = mujoco.MjData(self.scenery.model)
+        self.window = viewer.launch_passive(
+            self.scenery.model, self.data, show_left_ui=False, show_right_ui=False
+        )
+        self.window.cam.type = mujoco.mjtCamera.mjCAMERA_TRACKING
+        self.window.cam.trackbodyid = self.scenery.model.body("chassis").id
+        self.window.cam.distance, self.window.cam.elevation = 9.0, -18.0
+        self.start: float | None = None
+
+    def show(self) -> None:
+        """Show the plant as it is now, and wait for the clock."""
+        import mujoco
+
+        if not self.window.is_running():
+            return
+        state = self.plant.state
+        with self.window.lock():
+            self.data.qpos[:] = self.plant.qpos
+            self.scenery.place(self.data, state.x, state.y, state.psi, sight=500.0)
+            mujoco.mj_kinematics(self.scenery.model, self.data)
+            mujoco.mj_camlight(self.scenery.model, self.data)
+        self.window.sync()
+        if self.start is None:
+            self.start = time.monotonic()
+        time.sleep(max(0.0, self.plant.time - (time.monotonic() - self.start)))
+
+    def close(self) -> None:
+        """Close the window."""
+        self.window.close()
 
 
 def save(options: Options, log: Log, result: dict[str, Any], out: Path) -> bool:
