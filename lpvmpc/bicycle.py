@@ -4,8 +4,10 @@ Equations 1-4 and 7-8 of Kebbati et al. in the corrected form of docs/derivation
 are affine in the slip angle on each axle, Fy = C alpha + F0: the paper's linear tire is F0 = 0, and
 a tangent at the operating point has both terms.
 
-Orders: the MPC state is (vx, vy, r, ey, epsi, delta, a), the paper's five states followed by the
-actual steering angle and the actual drive acceleration; the input is (delta, ax) as commanded.
+Orders: the MPC state is (vx, vy, r, ey, epsi, delta, a, alpha_f, alpha_r): the paper's five states,
+the actual steering angle and drive acceleration, and the slip angles that the tires have built up
+over their relaxation lengths; the input is (delta, ax) as commanded. A lag of zero means that the
+quantity follows at once, and its state is then unused.
 """
 
 from __future__ import annotations
@@ -17,11 +19,11 @@ from numba import njit
 
 from lpvmpc.vehicle import GRAVITY, Array, VehicleParams
 
-NX = 7
-"""Number of model states: vx, vy, r, ey, epsi, delta, a."""
+NX = 9
+"""Number of model states: vx, vy, r, ey, epsi, delta, a, alpha_f, alpha_r."""
 NU = 2
 """Number of inputs: delta, ax."""
-VX, VY, R, EY, EPSI, DELTA, A = range(NX)
+VX, VY, R, EY, EPSI, DELTA, A, AF, AR = range(NX)
 EXACT, EULER = 0, 1
 CORRECTED, PRINTED = 0, 1
 
@@ -42,9 +44,13 @@ class Bicycle(NamedTuple):
     k_drag: float
     """0.5 rho_air CdA [kg/m]."""
     tau_delta: float
-    """Lag of the steering servo [s]."""
+    """Lag of the steering servo [s]; with 0 the wheels follow the command at once."""
     tau_ax: float
-    """Lag of drive and brake [s]."""
+    """Lag of drive and brake [s]; 0 as above."""
+    sigma_f: float
+    """Relaxation length of the front tires [m]; with 0 the force follows the slip at once."""
+    sigma_r: float
+    """Relaxation length of the rear tires [m]; 0 as above."""
     vx_min: float
     """Speed below which the model is evaluated at vx_min [m/s]."""
 
@@ -60,6 +66,8 @@ class Bicycle(NamedTuple):
             0.5 * car.rho_air * car.CdA,
             car.tau_delta,
             car.tau_ax,
+            car.sigma_f,
+            car.sigma_r,
             car.vx_min,
         )
 
@@ -90,7 +98,7 @@ def slip_angles(vx, vy, r, delta, car):
 
 @njit(cache=True)
 def derivative(x, u, kappa, tires, car):
-    """Time derivative of the nonlinear single-track model with servo lags.
+    """Time derivative of the nonlinear single-track model with servo lags and relaxation.
 
     vx' = a + r vy - (Fyf sin(delta) + Fd) / m,   Fd = c_roll m g + k_drag vx^2
     vy' = (Fyf cos(delta) + Fyr) / m - r vx
@@ -98,32 +106,45 @@ def derivative(x, u, kappa, tires, car):
     ey' = vx sin(epsi) + vy cos(epsi)
     epsi' = r - kappa (vx cos(epsi) - vy sin(epsi)) / (1 - ey kappa)
     delta' = (delta_cmd - delta) / tau_delta,   a' = (ax_cmd - a) / tau_ax
+    alpha' = (vx / sigma) (slip angle - alpha) on each axle,   Fy = C alpha + F0
 
     Args:
-        x: State (vx, vy, r, ey, epsi, delta, a), shape (7,).
+        x: State (vx, vy, r, ey, epsi, delta, a, alpha_f, alpha_r), shape (9,).
         u: Command (delta [rad], ax [m/s2]), shape (2,).
         kappa: Path curvature [1/m].
         tires: Affine axle forces (Cf [N/rad], F0f [N], Cr, F0r), shape (4,).
         car: `Bicycle` constants.
 
     Returns:
-        Derivative of the state, shape (7,).
+        Derivative of the state, shape (9,); zero for states without lag.
 
-    Source: Kebbati et al., eqs. 1-4, corrected as in docs/derivations.md.
+    Source: Kebbati et al., eqs. 1-4, corrected as in docs/derivations.md; relaxation as in
+    Pacejka, Tire and Vehicle Dynamics, section 7.2.
     """
+    dx = np.zeros(NX)
     vx = max(x[VX], car.vx_min)
-    vy, r, ey, epsi, delta = x[VY], x[R], x[EY], x[EPSI], x[DELTA]
-    Fyf = tires[0] * (delta - np.arctan2(vy + car.lf * r, vx)) + tires[1]
-    Fyr = -tires[2] * np.arctan2(vy - car.lr * r, vx) + tires[3]
+    vy, r, ey, epsi = x[VY], x[R], x[EY], x[EPSI]
+    delta, a = u[0], u[1]
+    if car.tau_delta > 0.0:
+        delta = x[DELTA]
+        dx[DELTA] = (u[0] - delta) / car.tau_delta
+    if car.tau_ax > 0.0:
+        a = x[A]
+        dx[A] = (u[1] - a) / car.tau_ax
+    alpha_f = delta - np.arctan2(vy + car.lf * r, vx)
+    alpha_r = -np.arctan2(vy - car.lr * r, vx)
+    if car.sigma_f > 0.0:
+        dx[AF] = vx / car.sigma_f * (alpha_f - x[AF])
+        dx[AR] = vx / car.sigma_r * (alpha_r - x[AR])
+        alpha_f, alpha_r = x[AF], x[AR]
+    Fyf = tires[0] * alpha_f + tires[1]
+    Fyr = tires[2] * alpha_r + tires[3]
     drag = car.c_roll * car.m * GRAVITY + car.k_drag * vx * vx
-    dx = np.empty(NX)
-    dx[VX] = x[A] + r * vy - (Fyf * np.sin(delta) + drag) / car.m
+    dx[VX] = a + r * vy - (Fyf * np.sin(delta) + drag) / car.m
     dx[VY] = (Fyf * np.cos(delta) + Fyr) / car.m - r * vx
     dx[R] = (car.lf * Fyf * np.cos(delta) - car.lr * Fyr) / car.Iz
     dx[EY] = vx * np.sin(epsi) + vy * np.cos(epsi)
     dx[EPSI] = r - kappa * (vx * np.cos(epsi) - vy * np.sin(epsi)) / (1.0 - ey * kappa)
-    dx[DELTA] = (u[0] - delta) / car.tau_delta
-    dx[A] = (u[1] - x[A]) / car.tau_ax
     return dx
 
 
@@ -144,7 +165,7 @@ def _atanc(z):
 
 
 @njit(cache=True)
-def lpv(x, kappa, tires, car, lags, form, A_out, B_out, c_out):
+def lpv(x, kappa, tires, car, form, A_out, B_out, c_out):
     """Matrices of the LPV form x' = A(rho) x + B(rho) u + c(rho), written in place.
 
     At the scheduling point rho = (x, kappa) the LPV form equals the nonlinear model exactly.
@@ -152,36 +173,31 @@ def lpv(x, kappa, tires, car, lags, form, A_out, B_out, c_out):
     point, but the predicted ey then reacts to the predicted epsi.
 
     Args:
-        x: Scheduling state (vx, vy, r, ey, epsi, delta, a), shape (7,).
+        x: Scheduling state (vx, vy, r, ey, epsi, delta, a, alpha_f, alpha_r), shape (9,).
         kappa: Path curvature [1/m].
         tires: Affine axle forces (Cf, F0f, Cr, F0r) [N/rad, N], shape (4,).
         car: `Bicycle` constants.
-        lags: Whether the servo lags are states; if not, the input acts at once.
-        form: CORRECTED, or PRINTED for the error rows as printed (A41 = sin, A45 = 0) with the
-            signs corrected, which an ablation shows.
-        A_out: Receives A, shape (7, 7).
-        B_out: Receives B, shape (7, 2).
-        c_out: Receives c, shape (7,).
+        form: CORRECTED, or PRINTED for the error row as printed (A41 = sin, A45 = 0), which an
+            ablation shows.
+        A_out: Receives A, shape (9, 9).
+        B_out: Receives B, shape (9, 2).
+        c_out: Receives c, shape (9,).
 
-    Source: Kebbati et al., eqs. 7-8; corrections 1-6 in docs/derivations.md.
+    Source: Kebbati et al., eqs. 7-8; corrections in docs/derivations.md, D1 and D2.
     """
     vx = max(x[VX], car.vx_min)
     vy, r, ey, epsi, delta = x[VY], x[R], x[EY], x[EPSI], x[DELTA]
     Cf, F0f, Cr, F0r = tires[0], tires[1], tires[2], tires[3]
     sin_d, cos_d = np.sin(delta), np.cos(delta)
-    gf = Cf * _atanc((vy + car.lf * r) / vx) / vx  # front force per lateral speed of the axle
-    gr = Cr * _atanc((vy - car.lr * r) / vx) / vx
+    flow_f = _atanc((vy + car.lf * r) / vx) / vx  # flow angle per lateral speed of the axle
+    flow_r = _atanc((vy - car.lr * r) / vx) / vx
 
     A_out[:, :] = 0.0
     B_out[:, :] = 0.0
     c_out[:] = 0.0
     A_out[VX, VX] = -car.c_roll * GRAVITY / vx - car.k_drag * vx / car.m
-    A_out[VX, VY] = gf * sin_d / car.m
-    A_out[VX, R] = car.lf * gf * sin_d / car.m + vy
-    A_out[VY, VY] = -(gr + gf * cos_d) / car.m
-    A_out[VY, R] = -(car.lf * gf * cos_d - car.lr * gr) / car.m - vx
-    A_out[R, VY] = -(car.lf * gf * cos_d - car.lr * gr) / car.Iz
-    A_out[R, R] = -(car.lf**2 * gf * cos_d + car.lr**2 * gr) / car.Iz
+    A_out[VX, R] = vy
+    A_out[VY, R] = -vx
     A_out[EY, VY] = np.cos(epsi)
     if form == PRINTED:
         A_out[EY, VX] = np.sin(epsi)
@@ -191,22 +207,42 @@ def lpv(x, kappa, tires, car, lags, form, A_out, B_out, c_out):
     A_out[EPSI, VX] = -kappa * np.cos(epsi) / narrowing
     A_out[EPSI, VY] = kappa * np.sin(epsi) / narrowing
     A_out[EPSI, R] = 1.0
+
+    # forces per slip angle, and where the slip angles come from
+    front = (-Cf * sin_d / car.m, Cf * cos_d / car.m, car.lf * Cf * cos_d / car.Iz)
+    rear = (0.0, Cr / car.m, -car.lr * Cr / car.Iz)
+    for i in range(3):
+        if car.sigma_f > 0.0:
+            A_out[i, AF] = front[i]
+            A_out[i, AR] = rear[i]
+        else:
+            A_out[i, VY] -= front[i] * flow_f + rear[i] * flow_r
+            A_out[i, R] -= car.lf * front[i] * flow_f - car.lr * rear[i] * flow_r
+            if car.tau_delta > 0.0:
+                A_out[i, DELTA] = front[i]
+            else:
+                B_out[i, 0] = front[i]
+    if car.sigma_f > 0.0:
+        rate_f, rate_r = vx / car.sigma_f, vx / car.sigma_r
+        A_out[AF, VY], A_out[AF, R] = -rate_f * flow_f, -rate_f * flow_f * car.lf
+        A_out[AR, VY], A_out[AR, R] = -rate_r * flow_r, rate_r * flow_r * car.lr
+        A_out[AF, AF], A_out[AR, AR] = -rate_f, -rate_r
+        if car.tau_delta > 0.0:
+            A_out[AF, DELTA] = rate_f
+        else:
+            B_out[AF, 0] = rate_f
     c_out[VX] = -F0f * sin_d / car.m
     c_out[VY] = (F0f * cos_d + F0r) / car.m
     c_out[R] = (car.lf * F0f * cos_d - car.lr * F0r) / car.Iz
 
-    steer_vx = -Cf * sin_d / car.m
-    steer_vy = Cf * cos_d / car.m
-    steer_r = car.lf * Cf * cos_d / car.Iz
-    if lags:
-        A_out[VX, DELTA], A_out[VY, DELTA], A_out[R, DELTA] = steer_vx, steer_vy, steer_r
-        A_out[VX, A] = 1.0
+    if car.tau_delta > 0.0:
         A_out[DELTA, DELTA] = -1.0 / car.tau_delta
-        A_out[A, A] = -1.0 / car.tau_ax
         B_out[DELTA, 0] = 1.0 / car.tau_delta
+    if car.tau_ax > 0.0:
+        A_out[VX, A] = 1.0
+        A_out[A, A] = -1.0 / car.tau_ax
         B_out[A, 1] = 1.0 / car.tau_ax
     else:
-        B_out[VX, 0], B_out[VY, 0], B_out[R, 0] = steer_vx, steer_vy, steer_r
         B_out[VX, 1] = 1.0
 
 
@@ -298,13 +334,13 @@ def steady_state(vx, kappa, tires, disturbance, car, x_out):
         tires: Affine axle forces (Cf, F0f, Cr, F0r) [N/rad, N], shape (4,).
         disturbance: Unmodelled accelerations of (vx, vy, r) [m/s2, m/s2, rad/s2], shape (3,).
         car: `Bicycle` constants.
-        x_out: Receives (vx, vy, r, ey, epsi, delta, a), shape (7,).
+        x_out: Receives (vx, vy, r, ey, epsi, delta, a, alpha_f, alpha_r), shape (9,).
 
     Source: Rajamani, section 3.2, with an added disturbance; docs/derivations.md.
     """
     vx = max(vx, car.vx_min)
     Cf, F0f, Cr, F0r = tires[0], tires[1], tires[2], tires[3]
-    vy, delta, r = 0.0, 0.0, kappa * vx
+    vy, delta, alpha_f, alpha_r = 0.0, 0.0, 0.0, 0.0
     for _ in range(3):
         # along the path: the course is psi + beta, and ds/dt = vx / cos(beta)
         r = kappa * np.sqrt(vx * vx + vy * vy)
@@ -325,6 +361,8 @@ def steady_state(vx, kappa, tires, disturbance, car, x_out):
     x_out[EPSI] = -np.arctan2(vy, vx)
     x_out[DELTA] = delta
     x_out[A] = (Fyf * np.sin(delta) + drag) / car.m - r * vy - disturbance[0]
+    x_out[AF] = alpha_f
+    x_out[AR] = alpha_r
 
 
 def discretise(A: Array, B: Array, c: Array, Ts: float) -> tuple[Array, Array, Array]:

@@ -17,6 +17,8 @@ from numba import njit
 
 from lpvmpc import observer
 from lpvmpc.bicycle import (
+    AF,
+    AR,
     CORRECTED,
     DELTA,
     EPSI,
@@ -34,6 +36,7 @@ from lpvmpc.bicycle import (
     derivative,
     hold,
     lpv,
+    slip_angles,
     steady_state,
 )
 from lpvmpc.errors import OptionError
@@ -119,6 +122,8 @@ class Formulation:
     """State reference: steady-state cornering, or [vx_ref, 0, 0, 0, 0]."""
     lags: bool = True
     """Servo lags as model states."""
+    relaxation: bool = True
+    """Relaxation of the tires as model states."""
     observer: bool = True
     """Disturbance observer."""
     slip_cap: bool = True
@@ -143,7 +148,14 @@ class Formulation:
             raise OptionError("Ts", self.Ts, "a number of seconds from 0.001 to 0.5")
 
 
-PAPER = Formulation(hold="euler", reference="plain", lags=False, observer=False, slip_cap=False)
+PAPER = Formulation(
+    hold="euler",
+    reference="plain",
+    lags=False,
+    relaxation=False,
+    observer=False,
+    slip_cap=False,
+)
 """The paper's plain formulation on the corrected matrices."""
 
 
@@ -176,7 +188,7 @@ class Diagnostics:
 
 
 @njit(cache=True)
-def _model(schedule, kappa, tires, disturbance, car, lags, form, method, Ts, Ad, Bd, cd):
+def _model(schedule, kappa, tires, disturbance, car, form, method, Ts, Ad, Bd, cd):
     """Freeze the LPV model in the middle of each interval of the horizon and discretise it."""
     N = tires.shape[0]
     A_, B_, c_, G = np.empty((NX, NX)), np.empty((NX, NU)), np.empty(NX), np.empty((NX, NX))
@@ -188,15 +200,16 @@ def _model(schedule, kappa, tires, disturbance, car, lags, form, method, Ts, Ad,
                 schedule[k, i] if method == EULER else 0.5 * (schedule[k, i] + schedule[k + 1, i])
             )
         curvature = kappa[k] if method == EULER else 0.5 * (kappa[k] + kappa[k + 1])
-        lpv(middle, curvature, tires[k], car, lags, form, A_, B_, c_)
+        lpv(middle, curvature, tires[k], car, form, A_, B_, c_)
         for i in range(3):
             c_[i] += disturbance[i]
         hold(A_, Ts, method, Ad[k], G)
         Bd[k] = G @ B_
         cd[k] = G @ c_
-        if not lags:  # the actuators follow at once
-            Ad[k, DELTA, DELTA], Ad[k, A, A] = 0.0, 0.0
-            Bd[k, DELTA, 0], Bd[k, A, 1] = 1.0, 1.0
+        if car.tau_delta == 0.0:  # the steering follows at once
+            Ad[k, DELTA, DELTA], Bd[k, DELTA, 0] = 0.0, 1.0
+        if car.tau_ax == 0.0:
+            Ad[k, A, A], Bd[k, A, 1] = 0.0, 1.0
 
 
 @njit(cache=True)
@@ -250,15 +263,17 @@ def _unpack(z, free, forced, x0, scale, plan, prediction):
 
 
 @njit(cache=True)
-def _advance(x, x_next, kappa, kappa_next, tires, disturbance, u, car, lags, form, method, Ts, out):
+def _advance(x, x_next, kappa, kappa_next, tires, disturbance, u, car, form, method, Ts, out):
     """One-period prediction from x, with the model frozen between x and x_next, in place."""
     A_, B_, c_ = np.empty((NX, NX)), np.empty((NX, NU)), np.empty(NX)
     Ad, G = np.empty((NX, NX)), np.empty((NX, NX))
-    lpv(0.5 * (x + x_next), 0.5 * (kappa + kappa_next), tires, car, lags, form, A_, B_, c_)
+    lpv(0.5 * (x + x_next), 0.5 * (kappa + kappa_next), tires, car, form, A_, B_, c_)
     hold(A_, Ts, method, Ad, G)
     observer.predict(Ad, G, B_, c_, x, u, disturbance, out)
-    if not lags:
-        out[DELTA], out[A] = u[0], u[1]
+    if car.tau_delta == 0.0:
+        out[DELTA] = u[0]
+    if car.tau_ax == 0.0:
+        out[A] = u[1]
 
 
 class LPVMPC:
@@ -300,6 +315,10 @@ class LPVMPC:
         self.delay = delay
         self.Np, self.Ts = self.formulation.Np, self.formulation.Ts
         self.bicycle = Bicycle.of(self.car)
+        if not self.formulation.lags:
+            self.bicycle = self.bicycle._replace(tau_delta=0.0, tau_ax=0.0)
+        if not self.formulation.relaxation:
+            self.bicycle = self.bicycle._replace(sigma_f=0.0, sigma_r=0.0)
         self._allocate()
         self.reset(np.random.default_rng(0))
 
@@ -334,7 +353,8 @@ class LPVMPC:
             raise OptionError(
                 "preview length", len(preview.kappa), f"at least {self.preview_steps + 1} points"
             )
-        x = np.array([state.vx, state.vy, state.r, preview.ey, preview.epsi, state.delta, 0.0])
+        x = np.zeros(NX)
+        x[: A] = state.vx, state.vy, state.r, preview.ey, preview.epsi, state.delta
         if np.isfinite(x).all() and np.isfinite(state.ax + state.ay):
             x0 = self._estimate(x, state, preview)
             self._build(x0, state, preview)
@@ -374,7 +394,7 @@ class LPVMPC:
         if not self._started:
             self._begin(x, state, preview)
         elif self._blind:  # the period before was not measured: no prediction to compare with
-            x[A] = self._a
+            x[A:] = self._inner
         else:
             self._observe(x, kappa)
         self._blind = False
@@ -384,21 +404,22 @@ class LPVMPC:
 
     def _begin(self, x: Array, state: State, preview: Preview) -> None:
         """First period: assume the car is in a steady state, as an accelerometer would say."""
-        form = self.formulation
-        schedule = self._schedule
+        car, tires, schedule = self.bicycle, self._tires, self._schedule
+        x[AF], x[AR] = slip_angles(max(x[VX], car.vx_min), x[VY], x[R], x[DELTA], car)
         schedule[:] = x
-        schedule[:, VX] = np.maximum(preview.vx_ref[: self.Np + 1], self.car.vx_min)
-        self.stiffness.horizon(state, schedule, self._tires)
-        dx = derivative(x, np.zeros(NU), preview.kappa[0], self._tires[0], self.bicycle)
-        x[A] = state.ax + state.r * state.vy - dx[VX]  # x[A] was 0: what holds vx' as measured
-        self._a = x[A]
-        if form.observer:
-            self.disturbance[VY] = state.ay - (dx[VY] + state.r * max(state.vx, self.car.vx_min))
+        schedule[:, VX] = np.maximum(preview.vx_ref[: self.Np + 1], car.vx_min)
+        self.stiffness.horizon(state, schedule, tires)
+        dx = derivative(x, x[[DELTA, A]], preview.kappa[0], tires[0], car)
+        # vx' is what the model lacks of a (still 0) and of the measured ax = vx' - r vy
+        x[A] = state.ax + state.r * state.vy - dx[VX]
+        if self.formulation.observer:
+            self.disturbance[VY] = state.ay - (dx[VY] + state.r * max(state.vx, car.vx_min))
             self.disturbance[R] = -dx[R]
-        u = np.array([state.delta, x[A]])
+        self._inner[:] = x[A:]
+        u = x[[DELTA, A]]
         self._queue[:] = u
         self._plan[:] = u
-        schedule[:, DELTA], schedule[:, A] = u
+        schedule[:, A] = x[A]
         self._started = True
 
     def _observe(self, x: Array, kappa: float) -> None:
@@ -407,10 +428,10 @@ class LPVMPC:
         applied = self._queue[0]
         _advance(
             self._x_last, x, self._kappa_last, kappa, self._tires[0], self.disturbance, applied,
-            self.bicycle, form.lags, self._form, self._method, self.Ts, predicted,
+            self.bicycle, self._form, self._method, self.Ts, predicted,
         )  # fmt: skip
-        self._a = predicted[A]
-        x[A] = self._a
+        self._inner[:] = predicted[A:]
+        x[A:] = self._inner
         if form.observer:
             observer.update(
                 self.disturbance, predicted, x, self._gain, observer.LIMIT, self.Ts
@@ -423,8 +444,7 @@ class LPVMPC:
             ahead = np.empty(NX)
             _advance(
                 x, x, kappa[i], kappa[i + 1], self._tires[0], self.disturbance,
-                self._queue[i + 1], self.bicycle, form.lags, self._form, self._method, self.Ts,
-                ahead,
+                self._queue[i + 1], self.bicycle, self._form, self._method, self.Ts, ahead,
             )  # fmt: skip
             x = ahead
         return x
@@ -437,7 +457,7 @@ class LPVMPC:
         kappa, vx_ref = preview.kappa[d:], preview.vx_ref[d:]
         self.stiffness.horizon(state, schedule, tires)
         _model(
-            schedule, kappa, tires, self.disturbance, self.bicycle, form.lags, self._form,
+            schedule, kappa, tires, self.disturbance, self.bicycle, self._form,
             self._method, self.Ts, self._Ad, self._Bd, self._cd,
         )  # fmt: skip
         _references(
@@ -490,7 +510,8 @@ class LPVMPC:
         self._u_lo, self._u_hi = np.zeros((N, NU)), np.zeros((N, NU))
         self._queue = np.zeros((self.delay + 1, NU))
         self._x_last, self._predicted = np.zeros(NX), np.zeros(NX)
-        self._kappa_last, self._a = 0.0, 0.0
+        self._inner = np.zeros(NX - A)  # states that are not measured: a, alpha_f, alpha_r
+        self._kappa_last = 0.0
         self._form = CORRECTED if form.matrices == "corrected" else PRINTED
         self._method = EXACT if form.hold == "exact" else EULER
         self._gain = np.full(3, w.observer_gain)

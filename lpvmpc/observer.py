@@ -16,14 +16,14 @@ def predict(Ad, G, B, c, x, u, disturbance, x_out):
     to the next state instead, it would not move ey and epsi within the period and leave an offset.
 
     Args:
-        Ad: Transition matrix, shape (7, 7).
-        G: Integral of the transition matrix over the period, shape (7, 7).
-        B: Continuous input matrix, shape (7, 2).
-        c: Constant term, shape (7,).
-        x: State, shape (7,).
+        Ad: Transition matrix, shape (9, 9).
+        G: Integral of the transition matrix over the period, shape (9, 9).
+        B: Continuous input matrix, shape (9, 2).
+        c: Constant term, shape (9,).
+        x: State, shape (9,).
         u: Command, shape (2,).
         disturbance: Accelerations of (vx, vy, r), shape (3,).
-        x_out: Receives the predicted state, shape (7,).
+        x_out: Receives the predicted state, shape (9,).
     """
     rate = B @ u + c
     rate[:3] += disturbance
@@ -45,8 +45,8 @@ def update(disturbance, predicted, measured, gain, limit, Ts):
 
     Args:
         disturbance: Estimate (3,) [m/s2, m/s2, rad/s2], changed in place.
-        predicted: What the model expected for now, shape (7,).
-        measured: What was measured, shape (7,).
+        predicted: What the model expected for now, shape (9,).
+        measured: What was measured, shape (9,).
         gain: Observer gain in (0, 1], per component, shape (3,).
         limit: Largest believable disturbance per component, shape (3,).
         Ts: Control period [s].

@@ -6,7 +6,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from lpvmpc import bicycle
-from lpvmpc.bicycle import CORRECTED, DELTA, EPSI, EULER, EXACT, EY, NU, NX, PRINTED, VX, VY, R
+from lpvmpc.bicycle import CORRECTED, AF, AR, DELTA, EPSI, EULER, EXACT, EY, NU, NX, PRINTED, VX, VY, A, R
 from lpvmpc.vehicle import VehicleParams
 
 
@@ -23,16 +23,20 @@ def car(params):
 def random_points(n=20):
     """States in and beyond normal driving, curvatures, affine tires."""
     rng = np.random.default_rng(1)
-    low = np.array([3.0, -1.0, -0.8, -0.4, -0.3, -0.4, -4.0])
-    high = np.array([30.0, 1.0, 0.8, 0.4, 0.3, 0.4, 3.0])
+    low = np.array([3.0, -1.0, -0.8, -0.4, -0.3, -0.4, -4.0, -0.1, -0.1])
+    high = np.array([30.0, 1.0, 0.8, 0.4, 0.3, 0.4, 3.0, 0.1, 0.1])
     for _ in range(n):
         tires = np.array([1.2e5, 800.0, 2.0e5, -500.0]) * rng.uniform(0.3, 1.2, 4)
         yield rng.uniform(low, high), rng.uniform(-0.1, 0.1), tires
 
 
-def matrices(x, kappa, tires, car, *, lags=True, form=CORRECTED):
+def without_lags(car):
+    return car._replace(tau_delta=0.0, tau_ax=0.0, sigma_f=0.0, sigma_r=0.0)
+
+
+def matrices(x, kappa, tires, car, *, form=CORRECTED):
     A, B, c = np.empty((NX, NX)), np.empty((NX, NU)), np.empty(NX)
-    bicycle.lpv(x, kappa, tires, car, lags, form, A, B, c)
+    bicycle.lpv(x, kappa, tires, car, form, A, B, c)
     return A, B, c
 
 
@@ -42,10 +46,16 @@ def test_slip_angles_are_positive_for_steering_left(car):
     assert alpha_r == 0.0
 
 
-def test_lpv_form_equals_the_nonlinear_model_at_the_scheduling_point(car):
+@pytest.mark.parametrize("servos", [True, False])
+@pytest.mark.parametrize("relaxation", [True, False])
+def test_lpv_form_equals_the_nonlinear_model_at_the_scheduling_point(car, servos, relaxation):
+    if not servos:
+        car = car._replace(tau_delta=0.0, tau_ax=0.0)
+    if not relaxation:
+        car = car._replace(sigma_f=0.0, sigma_r=0.0)
     for x, kappa, tires in random_points():
         A, B, c = matrices(x, kappa, tires, car)
-        u = np.array([0.1, 1.0])
+        u = np.array([0.1, 1.0]) if servos else x[[DELTA, bicycle.A]]
         expected = bicycle.derivative(x, u, kappa, tires, car)
         # both are sums of the same few terms: rounding only
         np.testing.assert_allclose(A @ x + B @ u + c, expected, rtol=1e-11, atol=1e-11)
@@ -62,7 +72,7 @@ def test_printed_error_row_has_the_same_value_but_not_the_sensitivity(car):
 
 def test_error_rows_are_the_jacobian_of_the_nonlinear_model(car):
     """On the path, the rows of ey and epsi agree with finite differences."""
-    x = np.array([15.0, 0.2, 0.15, 0.0, 0.0, 0.02, 0.0])
+    x = np.array([15.0, 0.2, 0.15, 0.0, 0.0, 0.02, 0.0, 0.0, 0.0])
     tires, kappa, h = np.array([1.2e5, 0.0, 2.0e5, 0.0]), 0.01, 1e-6
     A, _, _ = matrices(x, kappa, tires, car)
     for j in (VX, VY, R, EPSI):
@@ -77,12 +87,16 @@ def test_error_rows_are_the_jacobian_of_the_nonlinear_model(car):
 
 
 def test_steering_left_turns_left(car):
-    x = np.array([15.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    A, B, _ = matrices(x, 0.0, np.array([1.2e5, 0.0, 2.0e5, 0.0]), car, lags=False)
+    x, tires = np.zeros(NX), np.array([1.2e5, 0.0, 2.0e5, 0.0])
+    x[VX] = 15.0
+    _, B, _ = matrices(x, 0.0, tires, without_lags(car))
     assert B[VY, 0] > 0.0
     assert B[R, 0] > 0.0
-    A, _, _ = matrices(x, 0.0, np.array([1.2e5, 0.0, 2.0e5, 0.0]), car)
+    A, _, _ = matrices(x, 0.0, tires, car._replace(sigma_f=0.0, sigma_r=0.0))
     assert A[R, DELTA] == B[R, 0]
+    A, _, _ = matrices(x, 0.0, tires, car)
+    assert A[R, AF] == B[R, 0]
+    assert A[R, AR] < 0.0
 
 
 @pytest.mark.parametrize("Ts", [0.001, 0.033, 0.2])
@@ -101,8 +115,9 @@ def test_exact_hold_is_the_matrix_exponential(car, Ts):
 
 
 def test_exact_hold_is_stable_at_walking_speed_where_euler_is_not(car):
-    x = np.array([2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    A, _, _ = matrices(x, 0.0, np.array([1.31e5, 0.0, 2.15e5, 0.0]), car)
+    x = np.zeros(NX)
+    x[VX] = 2.0
+    A, _, _ = matrices(x, 0.0, np.array([1.31e5, 0.0, 2.15e5, 0.0]), without_lags(car))
     radius = {}
     for method in (EXACT, EULER):
         Ad, G = np.empty((NX, NX)), np.empty((NX, NX))
@@ -113,7 +128,7 @@ def test_exact_hold_is_stable_at_walking_speed_where_euler_is_not(car):
 
 
 def test_hold_predicts_the_nonlinear_model_over_one_period(car):
-    x = np.array([15.0, 0.1, 0.2, 0.05, 0.01, 0.04, 0.5])
+    x = np.array([15.0, 0.1, 0.2, 0.05, 0.01, 0.04, 0.5, 0.02, 0.01])
     tires, u, kappa, Ts = np.array([1.2e5, 0.0, 2.0e5, 0.0]), np.array([0.05, 1.0]), 0.01, 0.033
     A, B, c = matrices(x, kappa, tires, car)
     Ad, Bd, cd = bicycle.discretise(A, B, c, Ts)
@@ -135,7 +150,7 @@ def test_steady_state_is_an_equilibrium_of_the_nonlinear_model(car):
         tires = np.array([1.2e5, 300.0, 2.0e5, -100.0])
         x = np.empty(NX)
         bicycle.steady_state(vx, kappa, tires, np.array(d, float), car, x)
-        dx = bicycle.derivative(x, x[[DELTA, 6]], kappa, tires, car)
+        dx = bicycle.derivative(x, x[[DELTA, A]], kappa, tires, car)
         dx[:3] += d
         # three fixed-point rounds: the remainder is third order in the steering angle
         np.testing.assert_allclose(dx, 0.0, atol=2e-3)
@@ -156,5 +171,5 @@ def test_a_curve_to_the_other_side_mirrors_the_steady_state(car):
     left, right = np.empty(NX), np.empty(NX)
     bicycle.steady_state(12.0, 0.03, tires, np.array([0, 0.5, 0.1]), car, left)
     bicycle.steady_state(12.0, -0.03, tires, np.array([0, -0.5, -0.1]), car, right)
-    mirror = np.array([1, -1, -1, -1, -1, -1, 1])
+    mirror = np.array([1, -1, -1, -1, -1, -1, 1, -1, -1])
     np.testing.assert_array_equal(left, mirror * right)

@@ -30,10 +30,15 @@ def preview_of(x, kappa, vx, n=NP):
     return Preview(0.0, x[3], x[4], flat + kappa, flat + vx, flat, flat, flat)
 
 
+def start(vx, vy=0.0, r=0.0, ey=0.0, epsi=0.0, delta=0.0, a=0.0):
+    """State of the nonlinear bicycle with unloaded tires."""
+    return np.array([vx, vy, r, ey, epsi, delta, a, 0.0, 0.0])
+
+
 def drive(car, controller, kappa, vx, periods, push=(0.0, 0.0, 0.0), x=None, n_preview=NP):
     """Closed loop on the nonlinear bicycle with unmodelled accelerations `push`."""
     bicycle, tires = Bicycle.of(car), np.array([car.Cf, 0.0, car.Cr, 0.0])
-    x = np.array([vx, 0.0, kappa * vx, 0.0, 0.0, 0.0, 0.0]) if x is None else x.copy()
+    x = start(vx, r=kappa * vx) if x is None else x.copy()
     controller.reset(np.random.default_rng(0))
     states, commands, u = [], [], np.zeros(2)
 
@@ -83,7 +88,7 @@ def test_no_limit_cycle_on_a_straight_and_on_a_circle(car, vx, ay):
 
 
 def test_an_initial_error_is_driven_to_zero_within_the_bounds(car):
-    x = np.array([15.0, 0.0, 0.0, 0.25, 0.0, 0.0, 0.1])
+    x = start(15.0, ey=0.25, a=0.1)
     controller = LPVMPC(car)
     states, commands = drive(car, controller, 0.0, 15.0, 150, x=x)
     assert abs(states[-1, 3]) < 1e-4
@@ -93,8 +98,8 @@ def test_an_initial_error_is_driven_to_zero_within_the_bounds(car):
 
 
 def test_mirrored_situations_get_mirrored_commands(car):
-    mirror = np.array([1, -1, -1, -1, -1, -1, 1])
-    x = np.array([12.0, 0.1, 0.2, 0.05, -0.02, 0.03, 0.2])
+    mirror = np.array([1, -1, -1, -1, -1, -1, 1, -1, -1])
+    x = start(12.0, 0.1, 0.2, 0.05, -0.02, 0.03, 0.2)
     _, left = drive(car, LPVMPC(car), 0.02, 12.0, 40, x=x)
     _, right = drive(car, LPVMPC(car), -0.02, 12.0, 40, x=mirror * x)
     # ProxQP's iterates are not symmetric to the last bit: its tolerance, fed back 40 times
@@ -131,7 +136,7 @@ def test_a_known_delay_is_compensated(car):
             self.pending.append(self.inner.command(state, preview))
             return self.pending.pop(0) if len(self.pending) > 1 else self.pending[0]
 
-    x = np.array([25.0, 0.0, 0.0, 0.2, 0.0, 0.0, 0.3])
+    x = start(25.0, ey=0.2, a=0.3)
     known, _ = drive(car, Late(LPVMPC(car, delay=1)), 0.0, 25.0, 120, x=x, n_preview=NP + 1)
     unknown, _ = drive(car, Late(LPVMPC(car)), 0.0, 25.0, 120, x=x)
     assert abs(known[-1, 3]) < 1e-3
@@ -140,7 +145,7 @@ def test_a_known_delay_is_compensated(car):
 
 def test_a_refused_solve_follows_the_plan_and_then_brakes(car):
     controller = LPVMPC(car)
-    x = np.array([15.0, 0.0, 0.0, 0.2, 0.0, 0.0, 0.1])
+    x = start(15.0, ey=0.2, a=0.1)
     seen, commands = state_of(x, np.zeros(NX)), []
     controller.reset(np.random.default_rng(0))
     controller.command(seen, preview_of(x, 0.0, 15.0))
@@ -158,7 +163,7 @@ def test_a_refused_solve_follows_the_plan_and_then_brakes(car):
 def test_a_measurement_that_is_no_number_is_survived(car):
     """The period falls back, nothing is learned from it, and the next one is as good as before."""
     controller = LPVMPC(car)
-    x = np.array([15.0, 0.0, 0.0, 0.2, 0.0, 0.0, 0.1])
+    x = start(15.0, ey=0.2, a=0.1)
     good = state_of(x, np.zeros(NX))
     controller.reset(np.random.default_rng(0))
     for _ in range(3):
@@ -175,7 +180,7 @@ def test_a_measurement_that_is_no_number_is_survived(car):
 
 def test_a_preview_that_is_too_short_is_named(car):
     controller = LPVMPC(car, delay=2)
-    x = np.array([15.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.1])
+    x = start(15.0, a=0.1)
     with pytest.raises(OptionError, match="preview length is 11, but must be at least 13 points"):
         controller.command(state_of(x, np.zeros(NX)), preview_of(x, 0.0, 15.0))
 

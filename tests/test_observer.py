@@ -14,9 +14,9 @@ TS = 0.033
 def model():
     """Discretised model at 15 m/s on a straight."""
     car = VehicleParams.load()
-    x = np.array([15.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.1])
+    x = np.array([15.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.1, 0.0, 0.0])
     A, B, c = np.empty((NX, NX)), np.empty((NX, NU)), np.empty(NX)
-    lpv(x, 0.0, np.array([car.Cf, 0.0, car.Cr, 0.0]), Bicycle.of(car), True, 0, A, B, c)
+    lpv(x, 0.0, np.array([car.Cf, 0.0, car.Cr, 0.0]), Bicycle.of(car), 0, A, B, c)
     Ad, G = np.empty((NX, NX)), np.empty((NX, NX))
     hold(A, TS, EXACT, Ad, G)
     return Ad, G, B, c, x
