@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import mujoco
 import numpy as np
 import numpy.typing as npt
@@ -35,9 +36,11 @@ Image = npt.NDArray[np.uint8]
 WHEELS = ("fl", "fr", "rl", "rr")
 SIGHT = 260.0
 """Distance to which the road and what stands beside it are drawn [m]."""
-ARROW = 0.45e-3
+ARROW = 0.6e-3
 """Length of a force arrow [m/N]."""
-BLUE, ORANGE, WHITE = (0.34, 0.71, 0.91), (0.95, 0.55, 0.05), (1.0, 1.0, 1.0)
+LADDER = 0.98
+"""Half width of the ladder that shows the prediction [m]; just wider than the car."""
+ORANGE, AIR = (0.90, 0.50, 0.05), (0.62, 0.78, 0.88)
 
 
 def render_video(log: Any, path: str | FilePath, *, width: int = 1280, height: int = 720,
@@ -228,11 +231,12 @@ class Stage:
         mujoco.mjv_updateScene(model, data, self.option, self.perturb, self.chase.follow(now),
                                mujoco.mjtCatBit.mjCAT_ALL, self.scene)
         self._horizon(now["horizon"])
-        self._forces(now)
         self._wind(now)
         mujoco.mjr_render(self.rect, self.scene, self.gl)
         mujoco.mjr_readPixels(self.pixels, None, self.rect, self.gl)
-        return np.ascontiguousarray(self.pixels[::-1])  # OpenGL's first row is the lowest
+        frame = np.ascontiguousarray(self.pixels[::-1])  # OpenGL's first row is the lowest
+        self._forces(frame, now)
+        return frame
 
     def close(self) -> None:
         """Give OpenGL's resources back."""
@@ -249,7 +253,7 @@ class Stage:
                             (np.eye(3) if frame is None else frame).ravel(),
                             np.asarray(colour, np.float32))
         geom.category = mujoco.mjtCatBit.mjCAT_DECOR
-        geom.emission = 0.65
+        geom.emission = 0.45
         geom.specular = 0.0
         return geom
 
@@ -260,34 +264,54 @@ class Stage:
                                  np.asarray(start, float), np.asarray(end, float))
 
     def _horizon(self, points: Array) -> None:
-        """Predicted path as a ribbon on the road, with a dot per control period."""
+        """Predicted path as a ladder on the road, as wide as the car, a rung per period."""
         points = points[np.isfinite(points).all(axis=1)]
         for a, b in zip(points[:-1], points[1:], strict=True):
-            d = b - a
-            length = float(np.hypot(*d))
+            length = float(np.hypot(*(b - a)))
             if length < 1e-3:
                 continue
-            c, s = d / length
+            c, s = (b - a) / length
             frame = np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))
-            self._add(mujoco.mjtGeom.mjGEOM_BOX, (0.5 * length, 0.08, 0.004),
-                      (*(0.5 * (a + b)), 0.02), (*ORANGE, 1.0), frame)
-            self._add(mujoco.mjtGeom.mjGEOM_CYLINDER, (0.13, 0.006, 0.0), (*b, 0.024),
-                      (*ORANGE, 1.0))
+            left = np.array((-s, c))
+            for side in (-LADDER, LADDER):
+                self._add(mujoco.mjtGeom.mjGEOM_BOX, (0.51 * length, 0.05, 0.003),
+                          (*(0.5 * (a + b) + side * left), 0.02), (*ORANGE, 1.0), frame)
+            self._add(mujoco.mjtGeom.mjGEOM_BOX, (0.03, LADDER, 0.003), (*b, 0.02),
+                      (*ORANGE, 1.0), frame)
 
-    def _forces(self, now: dict[str, Any]) -> None:
-        """Tire force at each contact patch, in the plane of the road, in its friction circle."""
+    def _forces(self, frame: Image, now: dict[str, Any]) -> None:
+        """Tire force at each contact patch, in the plane of the road, seen through the body.
+
+        Green to red: the share of the friction mu Fz that is used.
+        """
+        width = max(frame.shape[0] // 120, 2)
         for wheel, site in zip(WHEELS, self.patch, strict=True):
             Fx, Fy, Fz = (now[f"F{a}_{wheel}_N"] for a in "xyz")
             if not math.isfinite(Fx + Fy + Fz) or Fz <= 0.0:
                 continue
             c, s = self.data.site_xmat[site].reshape(3, 3)[:2, 0]
-            force = np.array((c * Fx - s * Fy, s * Fx + c * Fy))
-            x, y = self.data.site_xpos[site][:2]
+            x, y, z = self.data.site_xpos[site]
+            tip = (x + ARROW * (c * Fx - s * Fy), y + ARROW * (s * Fx + c * Fy), z)
+            ends = self.project(np.array(((x, y, z), tip)), frame.shape)
+            if not np.isfinite(ends).all() or np.hypot(*(ends[1] - ends[0])) < width:
+                continue
             use = min(float(np.hypot(Fx, Fy)) / max(now[f"mu_{wheel}"] * Fz, 1.0), 1.0)
-            colour = (0.2 + 0.8 * use, 0.85 - 0.45 * use, 0.35 - 0.25 * use, 1.0)
-            if np.hypot(*force) * ARROW > 0.05:
-                self._arrow((x, y, 0.06), (*(np.array((x, y)) + ARROW * force), 0.06), 0.055,
-                            colour)
+            colour = (int(70 + 185 * min(2.0 * use, 1.0)), int(225 - 150 * max(use - 0.3, 0.0)), 70)
+            (u0, v0), (u1, v1) = np.round(ends).astype(int).tolist()
+            share = min(2.6 * width / float(np.hypot(u1 - u0, v1 - v0)), 0.6)
+            for thick, ink in ((width + 3, (20, 24, 28)), (width, colour)):
+                cv2.arrowedLine(frame, (u0, v0), (u1, v1), ink, thick, cv2.LINE_AA, 0, share)
+
+    def project(self, points: Array, shape: tuple[int, ...]) -> Array:
+        """Pixels (column, row) of points of the world (n, 3); NaN behind the camera."""
+        eyes = self.scene.camera
+        eye = 0.5 * (np.asarray(eyes[0].pos) + np.asarray(eyes[1].pos))
+        ahead, up = np.asarray(eyes[0].forward), np.asarray(eyes[0].up)
+        seen = (points - eye) @ np.stack([np.cross(ahead, up), up, ahead], axis=1)  # (n, 3)
+        half = 0.5 * (eyes[0].frustum_top - eyes[0].frustum_bottom) / eyes[0].frustum_near
+        scale = 0.5 * shape[0] / half / np.where(seen[:, 2] > 0.1, seen[:, 2], np.nan)
+        return np.stack([0.5 * shape[1] + scale * seen[:, 0],
+                         0.5 * shape[0] - scale * seen[:, 1]], axis=1)
 
     def _wind(self, now: dict[str, Any]) -> None:
         """Wind as arrows on the windward side of the car; wind > 0 blows from the left."""
@@ -299,7 +323,7 @@ class Stage:
         length = 0.035 * abs(speed)
         for along in (-1.1, 0.0, 1.1):
             tip = np.array((now["x_m"] + along * c, now["y_m"] + along * s)) - 1.15 * blow
-            self._arrow((*(tip - length * blow), 1.0), (*tip, 1.0), 0.05, (*BLUE, 0.85))
+            self._arrow((*(tip - length * blow), 1.0), (*tip, 1.0), 0.05, (*AIR, 1.0))
 
 
 class Encoder:
