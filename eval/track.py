@@ -22,7 +22,7 @@ import tyro
 from lpvmpc import cli
 from lpvmpc.errors import LPVMPCError, OutputError, RenderError
 from lpvmpc.log import write_json
-from lpvmpc.report import commit, machine
+from lpvmpc.provenance import commit, machine
 
 if TYPE_CHECKING:
     from lpvmpc.log import Log

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 if TYPE_CHECKING:
-    from lpvmpc.simulation import Log
+    from lpvmpc.log import Log
 
 Array = npt.NDArray[np.float64]
 

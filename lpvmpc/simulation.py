@@ -20,7 +20,7 @@ from lpvmpc.controllers import Controller, TimeLimit, checked_command
 from lpvmpc.errors import LPVMPCError, OptionError
 from lpvmpc.log import FALLBACKS, Log, Recorder
 from lpvmpc.plant import DRIVE, STEER, Plant
-from lpvmpc.report import model_sha256, versions
+from lpvmpc.provenance import model_sha256, versions
 from lpvmpc.vehicle import Command, State
 
 if TYPE_CHECKING:

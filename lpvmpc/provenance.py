@@ -1,0 +1,73 @@
+"""Where a result comes from: versions, model, machine, commit."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import subprocess
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import mujoco
+
+PACKAGES = ("mujoco", "numba", "numpy", "proxsuite", "pyarrow")
+"""Packages on whose versions a trace depends."""
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Versions of lpvmpc, Python and the packages that a trace depends on."""
+    from lpvmpc import __version__
+
+    found = {"lpvmpc": __version__, "python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "not installed"
+    return found
+
+
+def model_sha256(model: mujoco.MjModel) -> str:
+    """SHA-256 of the compiled model: every number that the physics uses, and MuJoCo's layout."""
+    import mujoco
+    import numpy as np
+
+    binary = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, binary)
+    return hashlib.sha256(binary.tobytes()).hexdigest()
+
+
+@cache
+def machine() -> str:
+    """Processor, number of cores this process may use, and system, in one line."""
+    cpu = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        for line in info.read_text().splitlines():
+            if line.startswith("model name"):
+                cpu = line.partition(":")[2].strip()
+                break
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return f"{cpu}, {cores} cores, {platform.system()} {platform.machine()}"
+
+
+@cache
+def commit() -> str | None:
+    """Commit of the working tree this package lies in; None outside one or without git."""
+    try:
+        answer = subprocess.run(
+            ["git", "describe", "--always", "--dirty", "--abbrev=12"],
+            cwd=Path(__file__).parent,
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=10,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return answer.stdout.strip() or None
