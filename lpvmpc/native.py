@@ -13,26 +13,25 @@ state. The wheels make no MuJoCo contact: the tire's normal force is an explicit
 of the wheel centre's height over the plane z = 0.
 """
 
-import ctypes
 import math
-from functools import cache
+from itertools import accumulate
 
 import mujoco
-import numpy as np
-from mujoco.introspect import ast_nodes, structs
 from numba import carray, cfunc, njit, types
-from numba.extending import intrinsic
 
-from lpvmpc import tire
+from lpvmpc import layout, tire
 from lpvmpc.aero import aero_wrench
 from lpvmpc.errors import LPVMPCError
-from lpvmpc.model import LAYOUT, NA, NQ, NU, NUSERDATA, NV
+from lpvmpc.layout import doubles, field, ints, longs, offsets
+from lpvmpc.model import LAYOUT, NA, NQ, NU, NUMERICS, NUSERDATA, NV
 
 # Where the numerics of model.NUMERICS begin in numeric_data.
-STEERING, POWERTRAIN, AERO, WHEEL, LOW_SPEED = 1, 4, 9, 13, 14
-TIRE_F = 21
-TIRE_R = TIRE_F + tire.N_COEFFICIENTS
-N_NUMERIC = TIRE_R + tire.N_COEFFICIENTS
+_SIZES = dict(NUMERICS)
+_ENDS = dict(zip(_SIZES, accumulate(_SIZES.values()), strict=True))
+_STARTS = {name: end - _SIZES[name] for name, end in _ENDS.items()}
+STEERING, POWERTRAIN, AERO = _STARTS["steering"], _STARTS["powertrain"], _STARTS["aero"]
+WHEEL, LOW_SPEED, TIRES = _STARTS["wheel"], _STARTS["low_speed"], _STARTS["tire_f"]
+N_NUMERIC = _ENDS["tire_r"]
 
 # Columns of userdata: the friction scale less one (so that a cleared row means normal grip), the
 # derivatives handed from the passive callback to the actuation callback, and the outputs, which
@@ -45,59 +44,15 @@ AX, AY = 38, 39  # acceleration of the centre of mass, yaw frame [m/s2]
 ALPHA_F, ALPHA_R = 40, 41  # axle slip angles of the centre of mass's velocity [rad]
 AERO_FX, AERO_FY, AERO_MZ = 42, 43, 44  # wrench of the air, yaw frame [N, N m]
 TORQUE_DRIVE, TORQUE_BRAKE = 45, 46  # at the wheels, all together [N m]
-POWER_TIRE = 47  # power of the tire forces on the car, wheels included [W]
 
 
-def field_offsets(name: str) -> dict[str, int]:
-    """Byte offset of every field of a MuJoCo struct, as the installed version lays it out."""
-    return {field: getattr(_structure(name), field).offset for field, _ in _fields(name)}
-
-
-@cache
-def _structure(name: str) -> type[ctypes.Structure]:
-    """MuJoCo struct as a ctypes type."""
-    return type(name, (ctypes.Structure,), {"_fields_": _fields(name)})
-
-
-@cache
-def _fields(name: str) -> list[tuple[str, type]]:
-    return [(field.name, _c_type(field.type)) for field in structs.STRUCTS[name].fields]
-
-
-_C_TYPES: dict[str, type] = {
-    "int": ctypes.c_int, "unsigned int": ctypes.c_uint, "unsigned char": ctypes.c_ubyte,
-    "float": ctypes.c_float, "double": ctypes.c_double, "char": ctypes.c_char,
-    "size_t": ctypes.c_size_t, "uint64_t": ctypes.c_uint64, "uintptr_t": ctypes.c_size_t,
-    "mjtNum": ctypes.c_double, "mjtByte": ctypes.c_ubyte, "mjtBool": ctypes.c_bool,
-    "mjtSize": ctypes.c_int64,
-}  # fmt: skip
-
-
-def _c_type(kind: object) -> type:
-    """ctypes type of a declaration in mujoco.introspect."""
-    if isinstance(kind, ast_nodes.PointerType):
-        return ctypes.c_void_p
-    if isinstance(kind, ast_nodes.ArrayType):
-        count = math.prod(kind.extents)
-        return _c_type(kind.inner_type) * count
-    if isinstance(kind, ast_nodes.AnonymousStructDecl):
-        fields = [(field.name, _c_type(field.type)) for field in kind.fields]
-        return type("anonymous", (ctypes.Structure,), {"_fields_": fields})
-    assert isinstance(kind, ast_nodes.ValueType), kind
-    if kind.name in _C_TYPES:
-        return _C_TYPES[kind.name]
-    if kind.name in structs.STRUCTS:
-        return _structure(kind.name)
-    return ctypes.c_int  # an enumeration
-
-
-_M = field_offsets("mjModel")
-_D = field_offsets("mjData")
+_M = offsets("mjModel")
+_D = offsets("mjData")
 _M_NQ, _M_NV, _M_NU, _M_NA = _M["nq"], _M["nv"], _M["nu"], _M["na"]
 _M_NUSERDATA, _M_NNUMERICDATA = _M["nuserdata"], _M["nnumericdata"]
 _M_NUMERIC, _M_BODY, _M_DOF_M0 = _M["numeric_data"], _M["dof_bodyid"], _M["dof_M0"]
 _M_MASS = _M["body_subtreemass"]
-_M_DT = _M["opt"] + field_offsets("mjOption")["timestep"]
+_M_DT = _M["opt"] + offsets("mjOption")["timestep"]
 _M_ACTADR = _M["actuator_actadr"]
 _D_QPOS, _D_QVEL, _D_ACT, _D_CTRL = _D["qpos"], _D["qvel"], _D["act"], _D["ctrl"]
 _D_USERDATA, _D_QFRC, _D_ACT_DOT = _D["userdata"], _D["qfrc_passive"], _D["act_dot"]
@@ -105,41 +60,17 @@ _D_XPOS, _D_XMAT, _D_COM = _D["xpos"], _D["xmat"], _D["subtree_com"]
 _D_XANCHOR, _D_XAXIS = _D["xanchor"], _D["xaxis"]
 
 
-def _pointer_cast(element):  # type: ignore[no-untyped-def]
-    """Make an intrinsic that turns an address into a pointer to `element`."""
-
-    @intrinsic
-    def cast(typing_context, address):  # type: ignore[no-untyped-def]
-        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-            return builder.inttoptr(args[0], context.get_value_type(signature.return_type))
-
-        return types.CPointer(element)(types.int64), codegen
-
-    return cast
-
-
-_doubles = _pointer_cast(types.float64)
-_longs = _pointer_cast(types.int64)
-_ints = _pointer_cast(types.int32)
-
-
-@njit(cache=True)
-def _array(struct, offset):
-    """Pointer to the doubles to which the field at `offset` of a struct points."""
-    return _doubles(_longs(struct + offset)[0])
-
-
 @njit(cache=True)
 def _is_ours(m):
     """Whether the model is a car of this package, so that all fields used below exist."""
     return (
-        _longs(m + _M_NQ)[0] == NQ
-        and _longs(m + _M_NV)[0] == NV
-        and _longs(m + _M_NU)[0] == NU
-        and _longs(m + _M_NA)[0] == NA
-        and _longs(m + _M_NUSERDATA)[0] == NUSERDATA
-        and _longs(m + _M_NNUMERICDATA)[0] >= N_NUMERIC
-        and _array(m, _M_NUMERIC)[0] == LAYOUT
+        longs(m + _M_NQ)[0] == NQ
+        and longs(m + _M_NV)[0] == NV
+        and longs(m + _M_NU)[0] == NU
+        and longs(m + _M_NA)[0] == NA
+        and longs(m + _M_NUSERDATA)[0] == NUSERDATA
+        and longs(m + _M_NNUMERICDATA)[0] >= N_NUMERIC
+        and field(m, _M_NUMERIC)[0] == LAYOUT
     )
 
 
@@ -154,205 +85,239 @@ def ackermann(delta, half_track_over_wheelbase):
 
 
 @njit(cache=True)
-def _cross(a0, a1, a2, b0, b1, b2):
-    return a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
+def _vector(p, i):
+    return p[3 * i], p[3 * i + 1], p[3 * i + 2]
+
+
+@njit(cache=True)
+def _cross(a, b):
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@njit(cache=True)
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@njit(cache=True)
+def _add(a, b):
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+@njit(cache=True)
+def _subtract(a, b):
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@njit(cache=True)
+def _clip(x, limit):
+    return min(max(x, -limit), limit)
+
+
+@njit(cache=True)
+def _lag_rate(wanted, value, tau, dt):
+    """Mean rate over dt of a first-order lag, so that a step of Euler is exact."""
+    return (wanted - value) * (-math.expm1(-dt / tau) / dt)
+
+
+@njit(cache=True)
+def _powertrain(p, act, qvel, mass, spin_inertia, out):
+    """Torques of the motor and of all brakes at the wheels [N m].
+
+    T = R_w (m + sum(J_w) / R_w^2) ax, limited by the motor's torque and power, or by the brakes.
+    """
+    R_w = p[WHEEL]
+    torque = R_w * (mass + spin_inertia / (R_w * R_w)) * act[1]
+    drive = min(max(torque, 0.0), p[POWERTRAIN + 1])
+    spin = 0.5 * abs(qvel[8] + qvel[11])
+    if drive * spin > p[POWERTRAIN + 2]:
+        drive = p[POWERTRAIN + 2] / spin
+    brake = min(max(-torque, 0.0), p[POWERTRAIN + 3])
+    out[TORQUE_DRIVE], out[TORQUE_BRAKE] = drive, brake
+    return drive, brake
+
+
+@njit(cache=True)
+def _damp(c, Fx, Fy, Fz, friction, damping, Vsx, Vsy):
+    """Damp the tire, a spring near standstill, without leaving the friction ellipse."""
+    Fx -= damping * Vsx
+    Fy -= damping * Vsy
+    mux, muy = tire.peak_friction(c, Fz)
+    fx, fy = Fx / (friction * mux * Fz), Fy / (friction * muy * Fz)
+    scale = 1.0 / math.sqrt(max(fx * fx + fy * fy, 1.0))
+    return scale * Fx, scale * Fy
+
+
+@njit(cache=True)
+def _tire(p, c, wheel, Fz, Vx, Vy, spin, act, dt, out):
+    """Relaxation and forces of one tire: Fx, Fy [N], Mz [N m].
+
+    Near standstill the deflection is capped, so that a wheel that was locked does not throw the car
+    back, and the then elastic tire is damped.
+    """
+    Vsx = Vx - p[WHEEL] * spin
+    speed = abs(Vx)
+    sigma_x, sigma_y = tire.relaxation_lengths(c, Fz)
+    slow = max(1.0 - speed / p[LOW_SPEED], 0.0)  # 1 at standstill, 0 above the low speed
+    cap = p[LOW_SPEED + 3] + slow * (p[LOW_SPEED + 2] - p[LOW_SPEED + 3])
+    i = 2 + 2 * wheel
+    u = _clip(tire.relax(act[i], Vsx, speed, sigma_x, dt), cap * sigma_x)
+    v = _clip(tire.relax(act[i + 1], Vy, speed, sigma_y, dt), cap * sigma_y)
+    out[ACT_DOT + i] = (u - act[i]) / dt
+    out[ACT_DOT + i + 1] = (v - act[i + 1]) / dt
+
+    slip_ratio, tan_alpha = u / sigma_x, v / sigma_y
+    friction = max(1.0 + out[FRICTION + wheel], 1e-3)
+    Fx, Fy, Mz = tire.forces(c, slip_ratio, tan_alpha, Fz, friction)
+    if slow > 0.0 and Fz > 0.0:
+        Fx, Fy = _damp(c, Fx, Fy, Fz, friction, p[LOW_SPEED + 1] * slow * slow, Vsx, Vy)
+    out[FX + wheel], out[FY + wheel], out[FZ + wheel] = Fx, Fy, Fz
+    out[SLIP_RATIO + wheel], out[SLIP_ANGLE + wheel] = slip_ratio, math.atan(tan_alpha)
+    out[MU + wheel] = friction * tire.peak_friction(c, Fz)[1]
+    return Fx, Fy, Mz
 
 
 @njit(cache=True)
 def _passive(m, d):
     """Add all forces of the car that MuJoCo does not know to qfrc_passive."""
-    p = _array(m, _M_NUMERIC)
-    dt = _doubles(m + _M_DT)[0]
-    M0 = _array(m, _M_DOF_M0)
-    chassis = _ints(_longs(m + _M_BODY)[0])[0]
-    mass = _array(m, _M_MASS)[chassis]
-    qpos, qvel = _array(d, _D_QPOS), _array(d, _D_QVEL)
-    act, ctrl = _array(d, _D_ACT), _array(d, _D_CTRL)
-    out, qfrc = _array(d, _D_USERDATA), _array(d, _D_QFRC)
-    xpos, xmat = _array(d, _D_XPOS), _array(d, _D_XMAT)
-    com = _array(d, _D_COM)
-    xanchor, xaxis = _array(d, _D_XANCHOR), _array(d, _D_XAXIS)
-    tires = carray(_doubles(_longs(m + _M_NUMERIC)[0] + 8 * TIRE_F), (2, tire.N_COEFFICIENTS))
+    p = field(m, _M_NUMERIC)
+    tires = carray(doubles(longs(m + _M_NUMERIC)[0] + 8 * TIRES), (2, tire.N_COEFFICIENTS))
+    dt = doubles(m + _M_DT)[0]
+    M0 = field(m, _M_DOF_M0)
+    chassis = ints(longs(m + _M_BODY)[0])[0]
+    mass = field(m, _M_MASS)[chassis]
+    qpos, qvel = field(d, _D_QPOS), field(d, _D_QVEL)
+    act, ctrl = field(d, _D_ACT), field(d, _D_CTRL)
+    out, qfrc = field(d, _D_USERDATA), field(d, _D_QFRC)
+    xanchor, xaxis = field(d, _D_XANCHOR), field(d, _D_XAXIS)
 
-    # Chassis: position, rotation, angular velocity in the world.
-    b = 3 * chassis
-    x0, x1, x2 = xpos[b], xpos[b + 1], xpos[b + 2]
-    b = 9 * chassis
-    r00, r01, r02 = xmat[b], xmat[b + 1], xmat[b + 2]
-    r10, r11, r12 = xmat[b + 3], xmat[b + 4], xmat[b + 5]
-    r20, r21, r22 = xmat[b + 6], xmat[b + 7], xmat[b + 8]
-    w0 = r00 * qvel[3] + r01 * qvel[4] + r02 * qvel[5]
-    w1 = r10 * qvel[3] + r11 * qvel[4] + r12 * qvel[5]
-    w2 = r20 * qvel[3] + r21 * qvel[4] + r22 * qvel[5]
-    norm = math.sqrt(r00 * r00 + r10 * r10)
-    cos_psi, sin_psi = r00 / norm, r10 / norm
+    # Chassis: origin, axes, velocities in the world.
+    origin = _vector(field(d, _D_XPOS), chassis)
+    xmat = doubles(longs(d + _D_XMAT)[0] + 72 * chassis)
+    ex, ey = (xmat[0], xmat[3], xmat[6]), (xmat[1], xmat[4], xmat[7])
+    ez = (xmat[2], xmat[5], xmat[8])
+    velocity = (qvel[0], qvel[1], qvel[2])
+    omega = (
+        ex[0] * qvel[3] + ey[0] * qvel[4] + ez[0] * qvel[5],
+        ex[1] * qvel[3] + ey[1] * qvel[4] + ez[1] * qvel[5],
+        ex[2] * qvel[3] + ey[2] * qvel[4] + ez[2] * qvel[5],
+    )
+    com = _subtract(_vector(field(d, _D_COM), chassis), origin)
 
-    # Steering servo: first-order lag with a rate limit, integrated exactly over the step.
-    tau, rate_max, delta_max = p[STEERING], p[STEERING + 1], p[STEERING + 2]
-    delta = act[0]
-    target = min(max(ctrl[0], -delta_max), delta_max)
-    rate = (target - delta) * (-math.expm1(-dt / tau) / dt)
-    rate = min(max(rate, -rate_max), rate_max)
-    out[ACT_DOT] = rate
-    delta_next = delta + dt * rate
+    # Steering servo with a rate limit, drive and brake: lags of the commands.
+    delta_max, rate_max = p[STEERING + 2], p[STEERING + 1]
+    out[ACT_DOT] = _clip(_lag_rate(_clip(ctrl[0], delta_max), act[0], p[STEERING], dt), rate_max)
+    out[ACT_DOT + 1] = _lag_rate(ctrl[1], act[1], p[POWERTRAIN], dt)
+    delta_next = act[0] + dt * out[ACT_DOT]
+    spin_inertia = (M0[8] + M0[11]) + (M0[13] + M0[15])
+    drive, brake = _powertrain(p, act, qvel, mass, spin_inertia, out)
 
-    # Drive and brake: first-order lag of the wanted acceleration, then torque and power limits.
-    tau = p[POWERTRAIN]
-    R_w = p[WHEEL]
-    out[ACT_DOT + 1] = (ctrl[1] - act[1]) * (-math.expm1(-dt / tau) / dt)
-    inertia = (M0[8] + M0[11]) + (M0[13] + M0[15])
-    torque = R_w * (mass + inertia / (R_w * R_w)) * act[1]
-    spin_f = 0.5 * abs(qvel[8] + qvel[11])
-    drive = min(max(torque, 0.0), p[POWERTRAIN + 1])
-    if drive * spin_f > p[POWERTRAIN + 2]:
-        drive = p[POWERTRAIN + 2] / spin_f
-    brake = min(max(-torque, 0.0), p[POWERTRAIN + 3])
-    out[TORQUE_DRIVE], out[TORQUE_BRAKE] = drive, brake
+    # Geometry from the wheel centres (joints 3, 6, 8 are the spins fl, fr, rl).
+    front_left = _vector(xanchor, 3)
+    wheelbase = _dot(ex, _subtract(front_left, _vector(xanchor, 8)))
+    half_track = 0.5 * _dot(ey, _subtract(front_left, _vector(xanchor, 6)))
+    lf = _dot(ex, _subtract(front_left, origin)) - _dot(ex, com)
 
-    v_low, damping = p[LOW_SPEED], p[LOW_SPEED + 1]
-    cap_low, cap_high = p[LOW_SPEED + 2], p[LOW_SPEED + 3]
-
-    # Geometry of the axles in the chassis frame, from the anchors: no number is typed twice.
-    wheelbase = 0.0
-    half_track = 0.0
-    f0, f1 = xanchor[9] - xanchor[18], xanchor[10] - xanchor[19]
-    f2 = xanchor[11] - xanchor[20]
-    half_track = 0.5 * (r01 * f0 + r11 * f1 + r21 * f2)
-    f0, f1 = xanchor[9] - xanchor[24], xanchor[10] - xanchor[25]
-    f2 = xanchor[11] - xanchor[26]
-    wheelbase = r00 * f0 + r10 * f1 + r20 * f2
-
-    total0, total1, total2 = 0.0, 0.0, 0.0  # force of all tires
-    moment0, moment1, moment2 = 0.0, 0.0, 0.0  # moment about the chassis origin
-    power = 0.0
+    force = (0.0, 0.0, 0.0)  # of all tires, world
+    moment = (0.0, 0.0, 0.0)  # about the chassis origin
     for axle in range(2):
         c = tires[axle]
-        # Sums of a left and a right term are exact under mirroring; running sums would not be.
-        sum0, sum1, sum2, sum3, sum4, sum5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        # Left and right are added first: such a sum is exact under mirroring.
+        axle_force, axle_moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         for side in range(2):
             wheel = 2 * axle + side
             if axle == 0:
-                dof_s, dof_w, jnt_s, jnt_w = 6 + 3 * side, 8 + 3 * side, 1 + 3 * side, 3 + 3 * side
+                susp, dof_susp, spin, dof_spin = (
+                    1 + 3 * side,
+                    6 + 3 * side,
+                    3 + 3 * side,
+                    8 + 3 * side,
+                )
             else:
-                dof_s, dof_w, jnt_s, jnt_w = (
-                    12 + 2 * side, 13 + 2 * side, 7 + 2 * side, 8 + 2 * side
-                )  # fmt: skip
-            j = 3 * jnt_w
-            c0, c1, c2 = xanchor[j], xanchor[j + 1], xanchor[j + 2]  # wheel centre
-            a0, a1, a2 = xaxis[j], xaxis[j + 1], xaxis[j + 2]  # spin axis, to the left
-            j = 3 * jnt_s
-            s0, s1, s2 = xaxis[j], xaxis[j + 1], xaxis[j + 2]  # suspension axis, upward
-            susp_rate = qvel[dof_s]
+                susp, dof_susp, spin, dof_spin = (
+                    7 + 2 * side,
+                    12 + 2 * side,
+                    8 + 2 * side,
+                    13 + 2 * side,
+                )
+            centre = _subtract(_vector(xanchor, spin), origin)
+            height = xanchor[3 * spin + 2]
+            axis = _vector(xaxis, spin)  # to the left
+            up = _vector(xaxis, susp)
+            rate = qvel[dof_susp]
+            sliding = (rate * up[0], rate * up[1], rate * up[2])
 
-            # Heading e and left n of the wheel in the road plane; tilt of its plane.
-            cos_tilt = max(math.sqrt(a0 * a0 + a1 * a1), 1e-6)
-            e0, e1 = a1 / cos_tilt, -a0 / cos_tilt
-            n0, n1 = -e1, e0
+            # Heading and left of the wheel in the road plane. The contact point lies below the
+            # centre in the wheel's plane, on the road z = 0.
+            upright = max(math.sqrt(axis[0] * axis[0] + axis[1] * axis[1]), 1e-6)
+            left = (axis[0] / upright, axis[1] / upright)
+            ahead = (left[1], -left[0])
+            shift = height / upright * axis[2]
+            contact = (centre[0] + shift * left[0], centre[1] + shift * left[1], -origin[2])
 
-            # Contact point: from the centre down the wheel's plane, to the road.
-            drop = c2 / cos_tilt
-            p0, p1 = c0 + drop * a2 * n0, c1 + drop * a2 * n1
-            l0, l1, l2 = p0 - x0, p1 - x1, -x2
-            v0, v1, v2 = _cross(w0, w1, w2, l0, l1, l2)
-            v0, v1 = qvel[0] + v0 + s0 * susp_rate, qvel[1] + v1 + s1 * susp_rate
-            k0, k1, k2 = _cross(w0, w1, w2, c0 - x0, c1 - x1, c2 - x2)
-            centre_rate = qvel[2] + k2 + s2 * susp_rate
-
-            Fz = tire.vertical_force(c, c[tire.R0] * cos_tilt - c2, -centre_rate)
-
-            # Slip velocities and relaxation.
-            Vx, Vy = v0 * e0 + v1 * e1, v0 * n0 + v1 * n1
-            spin = qvel[dof_w]
-            Vsx = Vx - R_w * spin
-            speed = abs(Vx)
-            sigma_x, sigma_y = tire.relaxation_lengths(c, Fz)
-            u_old, v_old = act[2 + 2 * wheel], act[3 + 2 * wheel]
-            u = tire.relax(u_old, Vsx, speed, sigma_x, dt)
-            v = tire.relax(v_old, Vy, speed, sigma_y, dt)
-            low = max(1.0 - speed / v_low, 0.0)
-            cap = cap_high + low * (cap_low - cap_high)
-            u = min(max(u, -cap * sigma_x), cap * sigma_x)
-            v = min(max(v, -cap * sigma_y), cap * sigma_y)
-            out[ACT_DOT + 2 + 2 * wheel] = (u - u_old) / dt
-            out[ACT_DOT + 3 + 2 * wheel] = (v - v_old) / dt
-            slip_ratio, tan_alpha = u / sigma_x, v / sigma_y
-            if low > 0.0 and Fz > 0.0:  # damps the elastic tire near standstill
-                low = damping * low * low * (3.0 - 2.0 * low)
-                slip_ratio -= low * Vsx / tire.slip_stiffness(c, Fz)
-                tan_alpha -= low * Vy / tire.cornering_stiffness(c, Fz)
-
-            friction = max(1.0 + out[FRICTION + wheel], 1e-3)
-            Fx, Fy, Mz = tire.forces(c, slip_ratio, tan_alpha, Fz, friction)
-            out[FX + wheel], out[FY + wheel], out[FZ + wheel] = Fx, Fy, Fz
-            out[SLIP_RATIO + wheel], out[SLIP_ANGLE + wheel] = slip_ratio, math.atan(tan_alpha)
-            out[MU + wheel] = friction * tire.peak_friction(c, Fz)[1]
+            v = _add(_add(velocity, _cross(omega, contact)), sliding)
+            rise = _add(_add(velocity, _cross(omega, centre)), sliding)[2]
+            Fz = tire.vertical_force(c, c[tire.R0] * upright - height, -rise)
+            Vx, Vy = v[0] * ahead[0] + v[1] * ahead[1], v[0] * left[0] + v[1] * left[1]
+            Fx, Fy, Mz = _tire(p, c, wheel, Fz, Vx, Vy, qvel[dof_spin], act, dt, out)
 
             # Wheel spin: tire, motor, and the dry friction of brake and rolling resistance, which
             # at most stops the wheel within this step.
-            on_wheel = -R_w * Fx
+            R_w = p[WHEEL]
+            torque = -R_w * Fx
+            share = p[POWERTRAIN + 4]
             if axle == 0:
-                on_wheel += 0.5 * drive
-                share = p[POWERTRAIN + 4]
+                torque += 0.5 * drive
             else:
-                share = 1.0 - p[POWERTRAIN + 4]
+                share = 1.0 - share
             dry = 0.5 * share * brake + c[tire.QSY1] * R_w * Fz
-            stop = M0[dof_w] * spin / dt + on_wheel
-            qfrc[dof_w] += on_wheel - min(max(stop, -dry), dry)
+            stopping = M0[dof_spin] * qvel[dof_spin] / dt + torque
+            qfrc[dof_spin] += torque - _clip(stopping, dry)
 
-            # Suspension.
-            g0, g1 = Fx * e0 + Fy * n0, Fx * e1 + Fy * n1
-            qfrc[dof_s] += s0 * g0 + s1 * g1 + s2 * Fz
-
-            # Knuckle: the rack carries the tire's moment about the steering axis (so it is not
-            # added here), and moves the knuckle to the angle of the servo at the end of the step.
+            # Knuckle: the rack carries the tire's moment about the steering axis (so that is not
+            # added here), and moves the knuckle to the servo's angle of the end of the step.
             if axle == 0:
-                dof = dof_s + 1
+                dof = dof_susp + 1
                 arm = (half_track if side == 0 else -half_track) / wheelbase
-                angle = ackermann(delta_next, arm)
-                q = qpos[8 + 3 * side]
-                qfrc[dof] += M0[dof] * ((angle - q) / dt - qvel[dof]) / dt
+                gap = ackermann(delta_next, arm) - qpos[8 + 3 * side]
+                qfrc[dof] += M0[dof] * (gap / dt - qvel[dof]) / dt
 
-            t0, t1, t2 = _cross(l0, l1, l2, g0, g1, Fz)
-            sum0, sum1, sum2 = sum0 + g0, sum1 + g1, sum2 + Fz
-            sum3, sum4, sum5 = sum3 + t0, sum4 + t1, sum5 + (t2 + Mz)
-            power += Fx * Vsx + Fy * Vy
-        total0, total1, total2 = total0 + sum0, total1 + sum1, total2 + sum2
-        moment0, moment1, moment2 = moment0 + sum3, moment1 + sum4, moment2 + sum5
-    out[POWER_TIRE] = power
+            on_road = (Fx * ahead[0] + Fy * left[0], Fx * ahead[1] + Fy * left[1], Fz)
+            qfrc[dof_susp] += _dot(up, on_road)
+            axle_force = _add(axle_force, on_road)
+            axle_moment = _add(axle_moment, _add(_cross(contact, on_road), (0.0, 0.0, Mz)))
+        force = _add(force, axle_force)
+        moment = _add(moment, axle_moment)
 
-    # Air, at the centre of mass of the whole car.
-    b = 3 * chassis
-    l0, l1, l2 = com[b] - x0, com[b + 1] - x1, com[b + 2] - x2
-    v0, v1, v2 = _cross(w0, w1, w2, l0, l1, l2)
-    v0, v1 = qvel[0] + v0, qvel[1] + v1
-    u0, u1 = ctrl[2] - v0, ctrl[3] - v1
+    # Air, at the centre of mass of the whole car, in axes that only yaw.
+    level = math.sqrt(ex[0] * ex[0] + ex[1] * ex[1])
+    cos_psi, sin_psi = ex[0] / level, ex[1] / level
+    v = _add(velocity, _cross(omega, com))
+    vx, vy = v[0] * cos_psi + v[1] * sin_psi, v[1] * cos_psi - v[0] * sin_psi
+    wind_x = ctrl[2] * cos_psi + ctrl[3] * sin_psi
+    wind_y = ctrl[3] * cos_psi - ctrl[2] * sin_psi
     Fx, Fy, Mz = aero_wrench(
-        u0 * cos_psi + u1 * sin_psi, u1 * cos_psi - u0 * sin_psi,
-        p[AERO], p[AERO + 1], p[AERO + 2], p[AERO + 3],
-    )  # fmt: skip
+        wind_x - vx, wind_y - vy, p[AERO], p[AERO + 1], p[AERO + 2], p[AERO + 3]
+    )
     out[AERO_FX], out[AERO_FY], out[AERO_MZ] = Fx, Fy, Mz
-    g0, g1 = Fx * cos_psi - Fy * sin_psi, Fx * sin_psi + Fy * cos_psi
-    t0, t1, t2 = _cross(l0, l1, l2, g0, g1, 0.0)
-    total0, total1 = total0 + g0, total1 + g1
-    moment0, moment1, moment2 = moment0 + t0, moment1 + t1, moment2 + (t2 + Mz)
+    air = (Fx * cos_psi - Fy * sin_psi, Fx * sin_psi + Fy * cos_psi, 0.0)
+    force = _add(force, air)
+    moment = _add(moment, _add(_cross(com, air), (0.0, 0.0, Mz)))
 
-    qfrc[0] += total0
-    qfrc[1] += total1
-    qfrc[2] += total2
-    # The angular part of a free joint is in the body's frame.
-    qfrc[3] += r00 * moment0 + r10 * moment1 + r20 * moment2
-    qfrc[4] += r01 * moment0 + r11 * moment1 + r21 * moment2
-    qfrc[5] += r02 * moment0 + r12 * moment1 + r22 * moment2
+    # The linear part of a free joint is in the world's frame, the angular part in the body's.
+    qfrc[0] += force[0]
+    qfrc[1] += force[1]
+    qfrc[2] += force[2]
+    qfrc[3] += _dot(ex, moment)
+    qfrc[4] += _dot(ey, moment)
+    qfrc[5] += _dot(ez, moment)
 
-    out[AX] = (total0 * cos_psi + total1 * sin_psi) / mass
-    out[AY] = (total1 * cos_psi - total0 * sin_psi) / mass
-    # Axle slip angles of the single track at the same instant.
-    vx, vy = v0 * cos_psi + v1 * sin_psi, v1 * cos_psi - v0 * sin_psi
-    rf = r00 * (xanchor[9] - com[b]) + r10 * (xanchor[10] - com[b + 1])
-    rf += r20 * (xanchor[11] - com[b + 2])
-    vx = max(vx, 0.1)  # the angle of a standing car would be noise
-    out[ALPHA_F] = delta - math.atan2(vy + rf * w2, vx)
-    out[ALPHA_R] = -math.atan2(vy - (wheelbase - rf) * w2, vx)
+    out[AX] = (force[0] * cos_psi + force[1] * sin_psi) / mass
+    out[AY] = (force[1] * cos_psi - force[0] * sin_psi) / mass
+    # Slip angles of the single track at this instant; a standing car's would be noise.
+    vx = max(vx, 0.1)
+    out[ALPHA_F] = act[0] - math.atan2(vy + lf * omega[2], vx)
+    out[ALPHA_R] = -math.atan2(vy - (wheelbase - lf) * omega[2], vx)
 
 
 @cfunc(types.void(types.int64, types.int64), cache=True)
@@ -365,8 +330,8 @@ def _mjcb_passive(m, d):
 def _mjcb_act_dyn(m, d, actuator):
     if not _is_ours(m):
         return 0.0
-    out, act_dot = _array(d, _D_USERDATA), _array(d, _D_ACT_DOT)
-    first = _ints(_longs(m + _M_ACTADR)[0])[actuator]
+    out, act_dot = field(d, _D_USERDATA), field(d, _D_ACT_DOT)
+    first = ints(longs(m + _M_ACTADR)[0])[actuator]
     if first == 2:  # for more than one state MuJoCo wants them written
         for i in range(2, NA):
             act_dot[i] = out[ACT_DOT + i]
@@ -386,7 +351,7 @@ def install() -> None:
             continue
         if present is not None:
             raise LPVMPCError(f"Another mjcb_{name} is installed in MuJoCo; remove it first.")
-        _check_layout()
+        layout.check()
         getattr(mujoco, f"set_mjcb_{name}")(function)
 
 
@@ -396,25 +361,3 @@ def uninstall() -> None:
         mujoco.set_mjcb_passive(None)
     if mujoco.get_mjcb_act_dyn() is _mjcb_act_dyn.ctypes:
         mujoco.set_mjcb_act_dyn(None)
-
-
-@cache
-def _check_layout() -> None:
-    """Compare the address of every array that MuJoCo shows to Python with the computed layout."""
-    model = mujoco.MjModel.from_xml_string(
-        "<mujoco><size nuserdata='1'/><custom><numeric name='n' data='1'/></custom>"
-        "<worldbody><body><freejoint/><geom size='1'/></body><body><joint name='j'/>"
-        "<geom size='1'/></body></worldbody>"
-        "<actuator><general joint='j' dyntype='integrator'/></actuator></mujoco>"
-    )
-    data = mujoco.MjData(model)
-    for struct, offsets in ((model, _M), (data, _D)):
-        for name, offset in offsets.items():
-            value = getattr(struct, name, None)
-            if isinstance(value, np.ndarray) and value.size and value.base is not None:
-                address = ctypes.c_void_p.from_address(struct._address + offset).value
-                if address not in (value.ctypes.data, None):
-                    raise LPVMPCError(
-                        f"MuJoCo {mujoco.__version__} lays out {name} otherwise than it describes; "
-                        "install the version named in constraints.txt."
-                    )

@@ -11,12 +11,11 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 import numpy.typing as npt
-from mujoco import batch
 from numba import njit
 
 from lpvmpc import native
 from lpvmpc.errors import LPVMPCError, OptionError
-from lpvmpc.model import NA, NUSERDATA, WHEELS, check_model, compile_model, parameters
+from lpvmpc.model import WHEELS, check_model, compile_model, parameters
 from lpvmpc.vehicle import Array, AxleForces, Command, State, VehicleParams
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
