@@ -46,7 +46,6 @@ MOTION = (
     "psi_ref_rad",
     "delta_cmd_rad",
     "ax_cmd_mps2",
-    "wind_mps",
     "roll_rad",
     "kkt_residual",
 )
@@ -123,6 +122,8 @@ class Recorder:
         columns: dict[str, npt.NDArray[Any]] = {
             name: self.motion[:n, i].copy() for i, name in enumerate(MOTION[:-1])
         }
+        wind = scenario.wind.speed(columns["t_s"], columns["s_m"])
+        columns["wind_mps"] = np.broadcast_to(wind, n).astype(np.float64)
         columns["solved"] = self.solved[:n].copy()
         columns["fallback"] = self.fallback[:n].copy()
         columns["kkt_residual"] = self.motion[:n, -1].copy()

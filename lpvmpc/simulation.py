@@ -155,9 +155,8 @@ class _Loop:
             standing = state.vx < STUCK_SPEED < preview.vx_ref[0]
             stuck = stuck + 1 if standing else 0
             reason = self._lost(preview.ey, preview.epsi, t, stuck * Ts)
-            wind_speed = float(scenario.wind.speed(t, s))
             if reason:  # this instant counts, with the command that led to it
-                self._record(t, state, preview, held, wind_speed, None)
+                self._record(t, state, preview, held, None)
                 return reason
             if observe is not None:
                 observe(plant.axles)
@@ -165,7 +164,7 @@ class _Loop:
             answer = self.limit.call("command", t, controller.command, state, preview)
             cpu = time.thread_time_ns() - cpu
             held = command = checked_command(answer, self.name, t)
-            self._record(t, state, preview, command, wind_speed, cpu * 1e-3)
+            self._record(t, state, preview, command, cpu * 1e-3)
             if progress is not None:
                 progress(s / length)
             if self.delay:
@@ -241,7 +240,6 @@ class _Loop:
         state: State,
         preview: Preview,
         command: Command,
-        wind_speed: float,
         step_us: float | None,
     ) -> None:
         """Fill one row; `step_us` is None where the controller was not called."""
@@ -266,7 +264,7 @@ class _Loop:
         log.motion[k] = (
             t, preview.s, state.x, state.y, state.psi, state.vx, state.vy, state.r, state.delta,
             state.ax, state.ay, preview.ey, preview.epsi, preview.kappa[0], preview.vx_ref[0],
-            preview.x[0], preview.y[0], preview.psi[0], command.delta, command.ax, wind_speed,
-            plant.roll, residual,
+            preview.x[0], preview.y[0], preview.psi[0], command.delta, command.ax, plant.roll,
+            residual,
         )  # fmt: skip
         log.n = k + 1  # last, so that an interrupt never leaves half a row

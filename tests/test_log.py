@@ -52,7 +52,7 @@ def test_the_trace_has_the_columns_of_the_contract(point_plant, straight, tmp_pa
     wheels = [name.format(wheel) for name in PER_WHEEL for wheel in WHEELS]
     plan = [f"pred_{axis}_m_{k}" for k in range(5) for axis in "xy"]
     qpos = [f"qpos_{i}" for i in range(7)]
-    expected = {*MOTION, "solved", "fallback", *wheels, *plan, *qpos}
+    expected = {*MOTION, "wind_mps", "solved", "fallback", *wheels, *plan, *qpos}
     assert set(table.column_names) == expected
     assert str(table.schema.field("solved").type) == "bool"
     assert str(table.schema.field("fallback").type) == "int8"
