@@ -8,6 +8,7 @@ global state are needed, and the bytes of a PNG depend on the log and the matplo
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
@@ -43,9 +44,24 @@ STYLE: dict[str, Any] = {
     "legend.handlelength": 1.6, "legend.borderaxespad": 0.2, "axes.spines.top": False,
     "axes.spines.right": False, "axes.linewidth": 0.6, "xtick.major.width": 0.6,
     "ytick.major.width": 0.6, "lines.linewidth": 1.0, "axes.grid": True, "grid.color": "#DDDDDD",
-    "grid.linewidth": 0.5, "axes.axisbelow": True, "figure.dpi": 300, "savefig.dpi": 300,
+    "grid.linewidth": 0.5, "axes.axisbelow": True,
     "figure.constrained_layout.use": True,
 }
+DPI = 300
+"""Resolution of the files [dots per inch]."""
+
+
+def _styled(draw: Callable[[Any], Figure]) -> Callable[[Any], Figure]:
+    """Draw in the house style, whatever the caller's settings are."""
+
+    @functools.wraps(draw)
+    def styled(log: Any) -> Figure:
+        import matplotlib
+
+        with matplotlib.rc_context({**matplotlib.rcParamsDefault, **STYLE}):
+            return draw(log)
+
+    return styled
 
 
 def save_all(log: Any, directory: str | FilePath) -> list[FilePath]:
@@ -61,8 +77,6 @@ def save_all(log: Any, directory: str | FilePath) -> list[FilePath]:
     Raises:
         OutputError: The directory or a file cannot be written.
     """
-    import matplotlib
-
     directory = FilePath(directory)
     figures: dict[str, Callable[[Any], Figure]] = {
         "speed_wind": speed_wind, "path": path, "commands": commands, "errors": errors,
@@ -72,14 +86,14 @@ def save_all(log: Any, directory: str | FilePath) -> list[FilePath]:
     try:
         directory.mkdir(parents=True, exist_ok=True)
         for name, draw in figures.items():
-            with matplotlib.rc_context(STYLE):
-                files.append(directory / f"{name}.png")
-                draw(log).savefig(files[-1], metadata={"Software": None})
+            files.append(directory / f"{name}.png")
+            draw(log).savefig(files[-1], dpi=DPI, metadata={"Software": None})
     except OSError as error:
         raise OutputError(f"Cannot write figures to {str(directory)!r}: {error}.") from error
     return files
 
 
+@_styled
 def speed_wind(log: Any) -> Figure:
     """Speed with its reference, and the side wind, over time (the paper's Fig. 7)."""
     c = log.columns
@@ -93,6 +107,7 @@ def speed_wind(log: Any) -> Figure:
     return figure
 
 
+@_styled
 def path(log: Any) -> Figure:
     """Driven path on the road, with three zooms of the lateral error (the paper's Fig. 8).
 
@@ -136,6 +151,7 @@ def path(log: Any) -> Figure:
     return figure
 
 
+@_styled
 def commands(log: Any) -> Figure:
     """Steering, acceleration and lateral velocity (the paper's Fig. 9)."""
     c = log.columns
@@ -155,6 +171,7 @@ def commands(log: Any) -> Figure:
     return figure
 
 
+@_styled
 def errors(log: Any) -> Figure:
     """Tracking errors beside the paper's printed values (the paper's Fig. 10).
 
@@ -177,8 +194,8 @@ def errors(log: Any) -> Figure:
     for (signed, magnitude), (name, unit, error, rmse, largest) in zip(axes, rows, strict=True):
         signed.plot(c["t_s"], error, color=BLUE, lw=0.9)
         _axis(signed, f"{name} [{unit}]", zero=True)
-        size = np.maximum(np.abs(error), 1e-4 * max(largest, 1e-12))  # zeros have no logarithm
-        ours = float(np.sqrt(np.mean(np.square(error))))
+        size = np.maximum(np.abs(error), 1e-4 * largest)  # zeros have no logarithm
+        ours = float(np.sqrt(np.nanmean(np.square(error))))
         magnitude.semilogy(c["t_s"], size, color=SKY, lw=0.7, label="|error|")
         magnitude.axhline(ours, color=BLUE, lw=1.2, label=f"RMSE {ours:.3g}")
         if compared:
@@ -186,7 +203,7 @@ def errors(log: Any) -> Figure:
                               label=f"paper RMSE {rmse:.3g}")
             magnitude.axhline(largest, color="black", lw=1.0, ls=(0, (1, 1.5)),
                               label=f"paper max {largest:.3g}")
-        floor = max(float(np.percentile(size, 2.0)), 1e-3 * rmse)
+        floor = max(float(np.nanpercentile(size, 2.0)), 1e-3 * rmse)
         top = max(largest, rmse, _largest(error)) if compared else _largest(error)
         magnitude.set_ylim(min(floor, 0.1 * top), 2.5 * top)
         _axis(magnitude, f"|{name}| [{unit}]")
@@ -198,6 +215,7 @@ def errors(log: Any) -> Figure:
     return figure
 
 
+@_styled
 def computation_time(log: Any) -> Figure:
     """Time of each control step against the control period (the paper's Fig. 11)."""
     t = log.timing["t_s"]
@@ -225,6 +243,7 @@ def computation_time(log: Any) -> Figure:
     return figure
 
 
+@_styled
 def gg(log: Any) -> Figure:
     """Accelerations of the centre of mass inside the friction circle, coloured by speed."""
     c = log.columns
@@ -253,11 +272,8 @@ def gg(log: Any) -> Figure:
 
 def _zooms(c: dict[str, Any]) -> dict[str, int]:
     """Rows worth a closer look: largest error, tightest bend, strongest wind."""
-    return {
-        "largest error": int(np.argmax(np.abs(c["ey_m"]))),
-        "tightest bend": int(np.argmax(np.abs(c["kappa_radpm"]))),
-        "strongest wind": int(np.argmax(np.abs(c["wind_mps"]))),
-    }
+    places = {"largest error": "ey_m", "tightest bend": "kappa_radpm", "strongest wind": "wind_mps"}
+    return {what: int(np.argmax(np.nan_to_num(np.abs(c[name])))) for what, name in places.items()}
 
 
 def _largest(values: Any) -> float:

@@ -191,7 +191,8 @@ class Diagnostics:
 def _model(schedule, kappa, tires, disturbance, car, form, method, Ts, Ad, Bd, cd):
     """Freeze the LPV model in the middle of each interval of the horizon and discretise it."""
     N = tires.shape[0]
-    A_, B_, c_, G = np.empty((NX, NX)), np.empty((NX, NU)), np.empty(NX), np.empty((NX, NX))
+    A_, B_, c_ = np.empty((NX, NX)), np.empty((NX, NU)), np.empty(NX)
+    inputs, held = np.empty((NX, NU + 1)), np.empty((NX, NU + 1))
     middle = np.empty(NX)
     for k in range(N):
         for i in range(NX):
@@ -201,11 +202,15 @@ def _model(schedule, kappa, tires, disturbance, car, form, method, Ts, Ad, Bd, c
             )
         curvature = kappa[k] if method == EULER else 0.5 * (kappa[k] + kappa[k + 1])
         lpv(middle, curvature, tires[k], car, form, A_, B_, c_)
-        for i in range(3):
-            c_[i] += disturbance[i]
-        hold(A_, Ts, method, Ad[k], G)
-        Bd[k] = G @ B_
-        cd[k] = G @ c_
+        for i in range(NX):
+            for m in range(NU):
+                inputs[i, m] = B_[i, m]
+            inputs[i, NU] = c_[i] + (disturbance[i] if i < 3 else 0.0)
+        hold(A_, inputs, Ts, method, Ad[k], held)
+        for i in range(NX):
+            for m in range(NU):
+                Bd[k, i, m] = held[i, m]
+            cd[k, i] = held[i, NU]
         if car.tau_delta == 0.0:  # the steering follows at once
             Ad[k, DELTA, DELTA], Bd[k, DELTA, 0] = 0.0, 1.0
         if car.tau_ax == 0.0:
@@ -266,10 +271,17 @@ def _unpack(z, free, forced, x0, scale, plan, prediction):
 def _advance(x, x_next, kappa, kappa_next, tires, disturbance, u, car, form, method, Ts, out):
     """One-period prediction from x, with the model frozen between x and x_next, in place."""
     A_, B_, c_ = np.empty((NX, NX)), np.empty((NX, NU)), np.empty(NX)
-    Ad, G = np.empty((NX, NX)), np.empty((NX, NX))
+    Ad, rate, held = np.empty((NX, NX)), np.empty((NX, 1)), np.empty((NX, 1))
     lpv(0.5 * (x + x_next), 0.5 * (kappa + kappa_next), tires, car, form, A_, B_, c_)
-    hold(A_, Ts, method, Ad, G)
-    observer.predict(Ad, G, B_, c_, x, u, disturbance, out)
+    for i in range(NX):
+        rate[i, 0] = B_[i, 0] * u[0] + B_[i, 1] * u[1] + c_[i]
+        if i < 3:
+            rate[i, 0] += disturbance[i]
+    hold(A_, rate, Ts, method, Ad, held)
+    for i in range(NX):
+        out[i] = held[i, 0]
+        for j in range(NX):
+            out[i] += Ad[i, j] * x[j]
     if car.tau_delta == 0.0:
         out[DELTA] = u[0]
     if car.tau_ax == 0.0:

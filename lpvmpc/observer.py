@@ -1,36 +1,14 @@
-"""Disturbance observer: what the model did not predict, as an acceleration."""
+"""Disturbance observer: what the model did not predict, as an acceleration.
+
+The disturbance acts on (vx, vy, r) and enters the continuous model, before discretisation, as a
+force does: added to the next state instead, it would not move ey and epsi within the period and
+leave an offset.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
-
-from lpvmpc.bicycle import NX
-
-
-@njit(cache=True)
-def predict(Ad, G, B, c, x, u, disturbance, x_out):
-    """One-step prediction x+ = Ad x + G (B u + c + E d), in place.
-
-    The disturbance d acts on (vx, vy, r) and enters before discretisation, as a force does: added
-    to the next state instead, it would not move ey and epsi within the period and leave an offset.
-
-    Args:
-        Ad: Transition matrix, shape (9, 9).
-        G: Integral of the transition matrix over the period, shape (9, 9).
-        B: Continuous input matrix, shape (9, 2).
-        c: Constant term, shape (9,).
-        x: State, shape (9,).
-        u: Command, shape (2,).
-        disturbance: Accelerations of (vx, vy, r), shape (3,).
-        x_out: Receives the predicted state, shape (9,).
-    """
-    rate = B @ u + c
-    rate[:3] += disturbance
-    for i in range(NX):
-        x_out[i] = 0.0
-        for j in range(NX):
-            x_out[i] += Ad[i, j] * x[j] + G[i, j] * rate[j]
 
 
 @njit(cache=True)

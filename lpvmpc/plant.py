@@ -21,13 +21,6 @@ from lpvmpc.vehicle import Array, AxleForces, Command, State, VehicleParams
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 STEER, DRIVE, WIND_X, WIND_Y = range(4)  # columns of ctrl
 
-TRIM_PERIOD = 0.01
-"""Time between two corrections while the car settles into its trimmed state [s]."""
-TRIM_TIME_MAX = 25.0
-"""Simulated time after which a state that has not settled is called impossible [s]."""
-TRIM_TOLERANCE = 1e-8
-"""Largest change per second of a settled speed [m/s2] or yaw rate [rad/s2]."""
-
 
 class Wheels(NamedTuple):
     """What the tires do, wheels fl, fr, rl, rr; each an array of shape (4,).
@@ -82,52 +75,6 @@ class Rollouts(NamedTuple):
     """The N states at the end."""
 
 
-@njit(cache=True)
-def _motion(qpos, qvel, shares, com, out):
-    """Planar motion of the whole car's centre of mass from generalised coordinates.
-
-    The centre of mass moves in the chassis by the suspension travels, weighted by the wheels'
-    share of the mass: p = x + R (com + z sum(share q)).
-
-    Args:
-        qpos: shape (17,).
-        qvel: shape (16,).
-        shares: mass of each knuckle with its wheel over the whole mass, shape (4,).
-        com: centre of mass in the chassis frame at zero travel [m], shape (3,).
-        out: x, y, psi (wrapped), vx, vy, r, roll, pitch, shape (8,).
-    """
-    w, a, b, c = qpos[3], qpos[4], qpos[5], qpos[6]
-    n = 1.0 / math.sqrt(w * w + a * a + b * b + c * c)
-    w, a, b, c = w * n, a * n, b * n, c * n
-    x0, x1, x2 = 1.0 - 2.0 * (b * b + c * c), 2.0 * (a * b + w * c), 2.0 * (a * c - w * b)
-    y0, y1, y2 = 2.0 * (a * b - w * c), 1.0 - 2.0 * (a * a + c * c), 2.0 * (b * c + w * a)
-    z0, z1, z2 = 2.0 * (a * c + w * b), 2.0 * (b * c - w * a), 1.0 - 2.0 * (a * a + b * b)
-    lift = (shares[0] * qpos[7] + shares[1] * qpos[10]) + (
-        shares[2] * qpos[13] + shares[3] * qpos[15]
-    )
-    lift_rate = (shares[0] * qvel[6] + shares[1] * qvel[9]) + (
-        shares[2] * qvel[12] + shares[3] * qvel[14]
-    )
-    h = com[2] + lift
-    p0 = x0 * com[0] + y0 * com[1] + z0 * h
-    p1 = x1 * com[0] + y1 * com[1] + z1 * h
-    p2 = x2 * com[0] + y2 * com[1] + z2 * h
-    w0 = x0 * qvel[3] + y0 * qvel[4] + z0 * qvel[5]
-    w1 = x1 * qvel[3] + y1 * qvel[4] + z1 * qvel[5]
-    w2 = x2 * qvel[3] + y2 * qvel[4] + z2 * qvel[5]
-    v0 = qvel[0] + (w1 * p2 - w2 * p1) + z0 * lift_rate
-    v1 = qvel[1] + (w2 * p0 - w0 * p2) + z1 * lift_rate
-    s2 = x0 * x0 + x1 * x1
-    s = math.sqrt(s2)
-    out[0], out[1], out[2] = qpos[0] + p0, qpos[1] + p1, math.atan2(x1, x0)
-    out[3] = (v0 * x0 + v1 * x1) / s
-    out[4] = (v1 * x0 - v0 * x1) / s
-    # psi' = (x0 x1' - x1 x0') / (x0^2 + x1^2) with x' = w cross x
-    out[5] = (x0 * (w2 * x0 - w0 * x2) - x1 * (w1 * x2 - w2 * x1)) / s2
-    out[6] = math.atan2(y2, z2)
-    out[7] = math.asin(min(max(-x2, -1.0), 1.0))
-
-
 class Plant:
     """The car on a plane road, advanced by one control period at a time.
 
@@ -176,7 +123,7 @@ class Plant:
         self.Ts = Ts
         self.params: VehicleParams = parameters(self.model)
         self.data = mujoco.MjData(self.model)
-        self._shares, self._com = _mass_layout(self.model)
+        self._layout = mass_layout(self.model)
         self._motion: Array = np.zeros(8)
         self._psi = 0.0
         self.friction = friction  # type: ignore[assignment]
@@ -239,13 +186,17 @@ class Plant:
         d.userdata[native.FRICTION : native.FRICTION + 4] = friction
         d.qvel[0] = vx
         d.qvel[[8, 11, 13, 15]] = vx / self.params.R_w
+        course = align == "course"
         if trim:
-            self._settle(vx, kappa, psi, wind, align)
-        self._place(x, y, psi, align)
+            c, s = math.cos(psi), math.sin(psi)
+            relative = c * wind[0] + s * wind[1], c * wind[1] - s * wind[0]
+            settle(self.model, d, self.params, self._layout, vx, kappa, relative, course=course)
+        self._psi = place(d, self._layout, x, y, psi, course)
+        d.qpos[list(SPIN_QPOS)] = 0.0  # where the spokes are does not matter
         d.ctrl[WIND_X], d.ctrl[WIND_Y] = wind
+        d.qacc_warmstart[:] = 0.0
         d.time = 0.0
         mujoco.mj_forward(self.model, d)
-        self._psi = psi
         return self.state
 
     def step(self, command: Command, wind: tuple[float, float] = (0.0, 0.0)) -> State:
@@ -280,7 +231,7 @@ class Plant:
     def state(self) -> State:
         """True state of the car now; its accelerations are those of the last physics step."""
         d, m = self.data, self._motion
-        _motion(d.qpos, d.qvel, self._shares, self._com, m)
+        planar_motion(d.qpos, d.qvel, *self._layout, m)
         if not math.isfinite(m[0]):
             raise LPVMPCError(f"The simulation has diverged at {d.time:.3f} s.")
         # heading without jumps: a period is far too short for half a turn
@@ -331,7 +282,7 @@ class Plant:
     @property
     def roll(self) -> float:
         """Roll angle of the body [rad], positive to the right side down."""
-        _motion(self.data.qpos, self.data.qvel, self._shares, self._com, self._motion)
+        planar_motion(self.data.qpos, self.data.qvel, *self._layout, self._motion)
         return float(self._motion[6])
 
     @property
@@ -353,84 +304,6 @@ class Plant:
         mujoco.mj_setState(self.model, self.data, snapshot.state, _STATE)
         self._psi = snapshot.psi
         return self.state
-
-    # --- settling ---
-
-    def _settle(
-        self, vx: float, kappa: float, psi: float, wind: tuple[float, float], align: str
-    ) -> None:
-        """Simulate until the car drives steadily at vx on a circle of curvature kappa."""
-        d, car = self.data, self.params
-        nstep = max(round(TRIM_PERIOD / self.model.opt.timestep), 1)
-        dt = nstep * self.model.opt.timestep
-        L, K = car.wheelbase, car.m / car.wheelbase * (car.lr / car.Cf - car.lf / car.Cr)
-        yaw_gain = max(vx, 0.5) / (L + K * vx * vx)
-        bandwidth = min(4.0, max(vx, 0.5))  # [1/s]; relaxation makes the slow car slow to answer
-        delta = math.atan(kappa * (L + K * vx * vx))
-        ax = 0.0
-        if vx < 0.1:
-            ax = -1.0  # brakes on
-        d.act[0], d.act[1] = delta, ax
-        d.qvel[5] = vx * kappa
-        d.qvel[1] = kappa * vx * (car.lr - car.lf * car.m * vx * vx / (L * car.Cr))
-        m, old = self._motion, np.zeros(8)
-        _motion(d.qpos, d.qvel, self._shares, self._com, m)
-        calm = 0
-        for _ in range(round(TRIM_TIME_MAX / dt)):
-            old[:] = m
-            # The wind keeps its direction relative to the car.
-            turn = m[2] - psi
-            if align == "course":
-                turn += math.atan2(m[4], max(m[3], 0.1))
-            c, s = math.cos(turn), math.sin(turn)
-            d.ctrl[:4] = delta, ax, c * wind[0] - s * wind[1], s * wind[0] + c * wind[1]
-            mujoco.mj_step(self.model, d, nstep=nstep)
-            _motion(d.qpos, d.qvel, self._shares, self._com, m)
-            if vx >= 0.1:
-                speed = math.hypot(m[3], m[4])
-                delta += dt * bandwidth * (kappa * speed - m[5]) / yaw_gain
-                delta = min(max(delta, -car.delta_max), car.delta_max)
-                acceleration = (m[3] - old[3]) / dt
-                ax += dt * (4.0 * (vx - m[3]) - 4.0 * acceleration)
-                ax = min(max(ax, -3.0), 3.0)
-                error = max(abs(vx - m[3]), abs(kappa * speed - m[5]))
-            else:
-                error = abs(m[3])
-            change = max(abs(m[i] - old[i]) for i in (3, 4, 5, 6, 7)) / dt
-            calm = calm + 1 if max(error, change) < TRIM_TOLERANCE else 0
-            if calm >= 10:
-                return
-        if max(error, change) > 1e-4:
-            raise OptionError(
-                "kappa", kappa, f"a curvature that the car can hold at {vx:g} m/s in this wind"
-            )
-
-    def _place(self, x: float, y: float, psi: float, align: str) -> None:
-        """Turn and move the car as a whole; only pose and world-frame velocity change."""
-        d, m = self.data, self._motion
-        _motion(d.qpos, d.qvel, self._shares, self._com, m)
-        turn = psi - m[2]
-        if align == "course" and m[3] > 0.1:
-            turn -= math.atan2(m[4], m[3])
-        q = np.array([math.cos(turn / 2.0), 0.0, 0.0, math.sin(turn / 2.0)])
-        mujoco.mju_mulQuat(d.qpos[3:7], q, d.qpos[3:7].copy())
-        mujoco.mju_rotVecQuat(d.qvel[:3], d.qvel[:3].copy(), q)
-        _motion(d.qpos, d.qvel, self._shares, self._com, m)
-        d.qpos[0] += x - m[0]
-        d.qpos[1] += y - m[1]
-        d.qpos[[9, 12, 14, 16]] = 0.0  # wheels: where the spokes are does not matter
-        d.qacc_warmstart[:] = 0.0
-
-
-def _mass_layout(model: mujoco.MjModel) -> tuple[Array, Array]:
-    """Mass shares of the wheels with knuckles, and the centre of mass at zero travel."""
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
-    chassis = model.body("chassis").id
-    mass = model.body_subtreemass
-    shares = np.array([mass[model.body(f"knuckle_{w}").id] for w in WHEELS]) / mass[chassis]
-    return shares, data.subtree_com[chassis] - data.xpos[chassis]
 
 
 def _friction(scale: float | npt.ArrayLike) -> Array:
