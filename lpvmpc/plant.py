@@ -4,22 +4,35 @@ from __future__ import annotations
 
 import copy
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path as FilePath
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from lpvmpc import native
 from lpvmpc.errors import LPVMPCError, OptionError
-from lpvmpc.model import WHEELS, check_model, compile_model, parameters
+from lpvmpc.model import check_model, compile_model, parameters
+from lpvmpc.motion import PSI, ROLL, VX, VY, R, X, Y, mass_layout, planar_motion
+from lpvmpc.rollout import (
+    DRIVE,
+    FRICTION,
+    SPIN_QPOS,
+    SPIN_QVEL,
+    STEER,
+    WIND_X,
+    WIND_Y,
+    Rollouts,
+    Snapshot,
+    friction_scale,
+    rollout,
+)
+from lpvmpc.trim import place, settle
 from lpvmpc.vehicle import Array, AxleForces, Command, State, VehicleParams
 
-_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
-STEER, DRIVE, WIND_X, WIND_Y = range(4)  # columns of ctrl
+INTEGRATION_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
 class Wheels(NamedTuple):
@@ -40,39 +53,6 @@ class Wheels(NamedTuple):
     """Slip angle after relaxation [rad], positive gives a force to the left."""
     mu: Array
     """Peak friction of tire and road at the load [-]."""
-
-
-@dataclass(frozen=True)
-class Snapshot:
-    """Everything that decides the plant's future; for Plant.restore and Plant.rollout."""
-
-    state: Array
-    """MuJoCo's integration state (with ctrl, userdata, warm start), read-only."""
-    psi: float
-    """Unwrapped heading [rad]."""
-
-
-class Rollouts(NamedTuple):
-    """States of many simulations at the end of each control period; time second, N first."""
-
-    x: Array
-    """Position [m], shape (N, T); likewise the following."""
-    y: Array
-    psi: Array
-    vx: Array
-    vy: Array
-    r: Array
-    delta: Array
-    ax: Array
-    ay: Array
-    wheel_speed: Array
-    """Spin [rad/s], shape (N, T, 4)."""
-    qpos: Array
-    """Shape (N, T, 17)."""
-    outputs: Array
-    """Userdata as native.py lays it out, shape (N, T, NUSERDATA)."""
-    snapshots: list[Snapshot]
-    """The N states at the end."""
 
 
 class Plant:
@@ -109,6 +89,8 @@ class Plant:
             self.model = copy.copy(model)
         else:
             self.model = compile_model(model, visual=False)
+        # 13 % of a step; the state is computed from coordinates instead, once per period.
+        self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
         native.install()
         if timestep is not None:
             if not (math.isfinite(timestep) and 0.0 < timestep <= 0.002):
@@ -133,12 +115,12 @@ class Plant:
 
     @property
     def friction(self) -> Array:
-        """Scale of the road's peak friction under each wheel, shape (4,)."""
-        return 1.0 + self.data.userdata[native.FRICTION : native.FRICTION + 4]
+        """Scale of the road's peak friction under each wheel, shape (4,); one number sets all."""
+        return 1.0 + self.data.userdata[FRICTION]
 
     @friction.setter
     def friction(self, scale: float | npt.ArrayLike) -> None:
-        self.data.userdata[native.FRICTION : native.FRICTION + 4] = _friction(scale) - 1.0
+        self.data.userdata[FRICTION] = friction_scale(scale, (4,)) - 1.0
 
     def reset(
         self,
@@ -160,7 +142,8 @@ class Plant:
         the first ones. The wind turns with the car meanwhile.
 
         Args:
-            x, y: position of the centre of mass [m].
+            x: position of the centre of mass [m].
+            y: the same [m].
             psi: direction [rad].
             vx: longitudinal speed [m/s], not negative.
             kappa: curvature of the path of the centre of mass [1/m].
@@ -181,11 +164,11 @@ class Plant:
         if align not in ("heading", "course"):
             raise OptionError("align", align, "'heading' or 'course'")
         d = self.data
-        friction = d.userdata[native.FRICTION : native.FRICTION + 4].copy()
+        friction = d.userdata[FRICTION].copy()
         mujoco.mj_resetData(self.model, d)
-        d.userdata[native.FRICTION : native.FRICTION + 4] = friction
+        d.userdata[FRICTION] = friction
         d.qvel[0] = vx
-        d.qvel[[8, 11, 13, 15]] = vx / self.params.R_w
+        d.qvel[list(SPIN_QVEL)] = vx / self.params.R_w
         course = align == "course"
         if trim:
             c, s = math.cos(psi), math.sin(psi)
@@ -232,21 +215,21 @@ class Plant:
         """True state of the car now; its accelerations are those of the last physics step."""
         d, m = self.data, self._motion
         planar_motion(d.qpos, d.qvel, *self._layout, m)
-        if not math.isfinite(m[0]):
+        if not math.isfinite(m[X]):
             raise LPVMPCError(f"The simulation has diverged at {d.time:.3f} s.")
         # heading without jumps: a period is far too short for half a turn
-        self._psi += math.remainder(m[2] - self._psi, 2.0 * math.pi)
+        self._psi += math.remainder(m[PSI] - self._psi, 2.0 * math.pi)
         return State(
-            x=float(m[0]),
-            y=float(m[1]),
+            x=float(m[X]),
+            y=float(m[Y]),
             psi=self._psi,
-            vx=float(m[3]),
-            vy=float(m[4]),
-            r=float(m[5]),
+            vx=float(m[VX]),
+            vy=float(m[VY]),
+            r=float(m[R]),
             delta=float(d.act[0]),
             ax=float(d.userdata[native.AX]),
             ay=float(d.userdata[native.AY]),
-            wheel_speed=d.qvel[[8, 11, 13, 15]],
+            wheel_speed=d.qvel[list(SPIN_QVEL)],
         )
 
     @property
@@ -283,7 +266,7 @@ class Plant:
     def roll(self) -> float:
         """Roll angle of the body [rad], positive to the right side down."""
         planar_motion(self.data.qpos, self.data.qvel, *self._layout, self._motion)
-        return float(self._motion[6])
+        return float(self._motion[ROLL])
 
     @property
     def rolled_over(self) -> bool:
@@ -294,24 +277,42 @@ class Plant:
 
     def save(self) -> Snapshot:
         """Everything that decides the future of this plant."""
-        state = np.empty(mujoco.mj_stateSize(self.model, _STATE))
-        mujoco.mj_getState(self.model, self.data, state, _STATE)
+        state = np.empty(mujoco.mj_stateSize(self.model, INTEGRATION_STATE))
+        mujoco.mj_getState(self.model, self.data, state, INTEGRATION_STATE)
         state.flags.writeable = False
         return Snapshot(state, self._psi)
 
     def restore(self, snapshot: Snapshot) -> State:
         """Go back to a saved state, exactly."""
-        mujoco.mj_setState(self.model, self.data, snapshot.state, _STATE)
+        mujoco.mj_setState(self.model, self.data, snapshot.state, INTEGRATION_STATE)
         self._psi = snapshot.psi
         return self.state
 
+    def rollout(
+        self,
+        snapshots: Snapshot | Sequence[Snapshot],
+        commands: npt.ArrayLike,
+        wind: npt.ArrayLike | None = None,
+        friction: npt.ArrayLike | None = None,
+        threads: int = 0,
+    ) -> Rollouts:
+        """Run many simulations at once, bit-identical to restoring and stepping one by one.
 
-def _friction(scale: float | npt.ArrayLike) -> Array:
-    """Check a friction scale and spread it over the wheels, shape (4,)."""
-    values = np.asarray(scale, dtype=np.float64)
-    if values.shape not in ((), (4,)) or not ((values >= 0.01) & (values <= 2.0)).all():
-        raise OptionError("friction", scale, "one number or four, each between 0.01 and 2")
-    return np.broadcast_to(values, (4,))
+        Args:
+            snapshots: initial states, one for all or N.
+            commands: (delta, ax) of each control period, shape (N, T, 2).
+            wind: velocity of the air in the world [m/s], shape (N, T, 2) (default: still air).
+            friction: scale for each simulation, shape (N,), or for each of its wheels, (N, 4)
+                (default: that of the snapshots).
+            threads: number of threads, 0 for all cores.
+
+        Raises:
+            OptionError: a shape does not fit or a value is not finite.
+            LPVMPCError: a simulation has diverged.
+        """
+        return rollout(
+            self.model, self.nstep, self._layout, snapshots, commands, wind, friction, threads
+        )
 
 
 def _finite(**values: float) -> None:
