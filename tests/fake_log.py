@@ -83,6 +83,7 @@ def fake_log(duration: float = 20.0, name: str = "paper", length: float = 600.0,
 def _qpos(columns: dict[str, Any], s: Any) -> dict[str, Any]:
     """Generalised coordinates of the packaged car: free joint, slides, steering, spins."""
     import mujoco
+
     from lpvmpc.scenery import scene_file
 
     model = mujoco.MjModel.from_xml_path(str(scene_file()))
