@@ -7,11 +7,20 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
 from lpvmpc.errors import PathError
 from lpvmpc.path import Path
+from lpvmpc.vehicle import GRAVITY, VehicleParams
 
 Array = npt.NDArray[np.float64]
+
+SMOOTHING_TIME = 0.3
+"""Half the time over which a change of planned acceleration is spread [s]."""
+DRIVE_MARGIN = 0.85
+"""Share of the motor's and the brakes' force that a plan may use; the rest is for control."""
+_STEP = 0.02
+"""Time step of the smoothing [s]."""
 
 
 @dataclass(frozen=True)
@@ -89,3 +98,110 @@ class SpeedProfile:
         safe = np.where(small, 1.0, ratio)
         mean = np.where(small, 1.0 - 0.5 * ratio, np.log1p(safe) / safe)
         return math.fsum(self.spacing * mean / v0)
+
+
+def plan(
+    path: Path, params: VehicleParams, *, ay_max: float, v_max: float, margin: float = DRIVE_MARGIN
+) -> SpeedProfile:
+    """Fast speed along a path that the car can follow.
+
+    The limits, with ay = vx^2 kappa and a the acceleration along the path:
+      vx <= v_max, |ay| <= ay_max                                 everywhere
+      (a/a_circle)^2 + (ay/ay_max)^2 <= 1                         tires: ay_max for braking, and the
+                                                                  load share lr/L of it for driving
+      a <= margin F_drive(vx)/m - resistances,  -a <= margin F_brake/m
+
+    A forward and a backward pass give the fastest such speed (a flying lap on closed paths). Its
+    acceleration jumps, which no drive can follow; so the speed, as a function of time, is replaced
+    by its minimum over +-`SMOOTHING_TIME` and then averaged over the same window. The average of
+    values that are all below the limit is below the limit, and the speed at the tightest points is
+    kept. The acceleration becomes a moving average: continuous, and never larger than before.
+
+    Args:
+        path: The road.
+        params: The car.
+        ay_max: Largest lateral acceleration [m/s2].
+        v_max: Largest speed [m/s].
+        margin: Share of drive and brake force in use [-].
+    """
+    top = _top_speed(params, margin)
+    with np.errstate(divide="ignore"):
+        ceiling = np.minimum(np.sqrt(ay_max / np.abs(path.kappa)), min(v_max, top))
+    drive_share = params.lr / params.wheelbase
+    limits = np.array(
+        [
+            ay_max,
+            drive_share * ay_max,  # front drive: only the front axle's load carries drive force
+            min(ay_max, margin * params.F_brake_max / params.m_eff),
+            margin * params.F_drive_max / params.m_eff,
+            margin * params.P_drive_max / params.m_eff,
+            params.c_roll * GRAVITY,
+            0.5 * params.rho_air * params.CdA / params.m_eff,
+            drive_share**2 * params.m / params.Cf + (1.0 - drive_share) ** 2 * params.m / params.Cr,
+        ]
+    )
+    fastest = _fastest(path.kappa, path.spacing, path.closed, ceiling, limits)
+    return SpeedProfile(_smooth(fastest, path, ceiling), path.length, path.closed)
+
+
+def _top_speed(params: VehicleParams, margin: float) -> float:
+    """Speed at which the drive only just balances the resistances on a straight [m/s]."""
+    v = np.linspace(5.0, 100.0, 951)
+    force = margin * np.minimum(params.F_drive_max, params.P_drive_max / v)
+    resistance = params.c_roll * params.m * GRAVITY + 0.5 * params.rho_air * params.CdA * v**2
+    return float(v[np.argmax(force < resistance)] if np.any(force < resistance) else v[-1])
+
+
+@njit(cache=True)
+def _acceleration(vx, kappa, limits, braking):
+    """Largest change of speed [m/s2] at a speed and curvature: driving, or (positive) braking."""
+    ay_max, drive_circle, brake, force, power, c_roll, drag, slip = limits
+    ay = vx * vx * abs(kappa)
+    left = math.sqrt(max(1.0 - (ay / ay_max) ** 2, 0.0))
+    if braking:
+        return brake * left
+    # The last term is cornering drag: what the tires' lateral forces lose by their slip angles.
+    resistance = c_roll + drag * vx * vx + slip * ay * ay
+    return max(min(drive_circle * left, min(force, power / vx) - resistance), 0.0)
+
+
+@njit(cache=True)
+def _fastest(kappa, h, closed, ceiling, limits):
+    """Fastest speed below the ceiling [m/s]: forward pass for driving, backward for braking."""
+    n = kappa.size - 1
+    v = ceiling.copy()
+    start = 0
+    if closed:  # the slowest point stays as it is, so one round from there is all
+        start = int(np.argmin(ceiling[:n]))
+    for direction in (1, -1):
+        for j in range(n):
+            if closed:
+                i = (start + direction * j) % n
+                k = (i + direction) % n
+            else:
+                i = j if direction == 1 else n - j
+                k = i + direction
+            a = _acceleration(v[i], kappa[i], limits, direction == -1)
+            v[k] = min(v[k], math.sqrt(v[i] * v[i] + 2.0 * a * h))
+        if closed:
+            v[n] = v[0]
+    return v
+
+
+def _smooth(fastest: Array, path: Path, ceiling: Array) -> Array:
+    """Minimum, then Hann-weighted mean, over +-`SMOOTHING_TIME` of the speed in time; see `plan`."""
+    mean = 0.5 * (fastest[1:] + fastest[:-1])
+    time = np.concatenate([[0.0], np.cumsum(path.spacing / mean)])
+    steps = max(round(time[-1] / _STEP), 1)
+    uniform = np.linspace(0.0, time[-1], steps + 1)
+    half = math.ceil(SMOOTHING_TIME / _STEP)
+    v = np.interp(uniform, time, fastest)
+    if path.closed:
+        v = np.pad(v[:-1], (2 * half, 2 * half + 1), mode="wrap")
+    else:
+        v = np.pad(v, 2 * half, mode="edge")
+    lowest = np.lib.stride_tricks.sliding_window_view(v, 2 * half + 1).min(axis=1)
+    window = np.hanning(2 * half + 3)[1:-1]
+    smooth = np.convolve(lowest, window / window.sum(), mode="valid")
+    # The grids of time and distance differ, so the result may miss the ceiling by rounding.
+    return np.minimum(np.interp(time, uniform, smooth), ceiling)
