@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 Number = Annotated[float | None, tyro.conf.arg(metavar="FLOAT")]
 File = Annotated[Path | None, tyro.conf.arg(metavar="PATH")]
 
+USER_TIMEOUT = 60.0
+"""Longest time of one call of a user's controller, by default [s]."""
 PAPER = {
     "lateral_rmse_m": 0.0217,
     "lateral_max_m": 0.08,
@@ -79,8 +81,9 @@ class Options:
     """Treat a CSV track as open."""
     delay: int = 0
     """Control periods after which a command reaches the car."""
-    step_timeout: float = 60.0
-    """Longest time of one controller step before the run is given up [s]; compiling counts."""
+    step_timeout: Number = None
+    """Longest time of one controller call, compiling included, before the run is given up [s]
+    (default: 60 for your own controller, no limit for the package's)."""
     json: File = None
     """Write the metrics to this file as well."""
 
@@ -109,7 +112,7 @@ def main(options: Options) -> int:
             scenario,
             seed=options.seed,
             delay=options.delay,
-            step_timeout=options.step_timeout,
+            step_timeout=options.step_timeout or (USER_TIMEOUT if own else None),
             progress=progress,
             name=options.controller,
             options={**scenario_options(options), "stiffness": options.stiffness},
@@ -185,7 +188,7 @@ class Progress:
             from rich.progress import Progress as Bar
 
             self.bar = Bar(console=Console(stderr=True), transient=True)
-            self.bar.add_task("driving", total=1.0)
+            self.bar.add_task("starting (the first run compiles)", total=1.0)
             self.bar.start()
         return self
 
@@ -193,7 +196,7 @@ class Progress:
         """Called at every control instant with the driven fraction of the path."""
         self.calls += 1
         if self.bar is not None and self.calls % 30 == 0:
-            self.bar.update(0, completed=fraction)
+            self.bar.update(0, description="driving", completed=fraction)
         if self.viewer is not None:
             self.viewer.show()
 
