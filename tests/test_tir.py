@@ -1,0 +1,59 @@
+import pytest
+
+from lpvmpc import tire
+from lpvmpc.errors import DataError
+from lpvmpc.tir import read_tir
+
+TEXT = """$ a comment
+[UNITS]
+LENGTH = 'meter'
+FORCE  = 'newton'
+ANGLE  = 'radians'
+[DIMENSION]
+UNLOADED_RADIUS = 0.376   $ free radius
+[VERTICAL]
+FNOMIN = 3800
+VERTICAL_STIFFNESS = 1.75e5
+[SCALING_COEFFICIENTS]
+LMUY = 0.5 $ user
+[LATERAL_COEFFICIENTS]
+"""
+
+
+def write(path, text=TEXT, without=(), **changes):
+    given = ("FNOMIN", "R0", "KZ", "CZ", "QSY1")
+    values = {name: 1.0 for name in tire.COEFFICIENTS if name not in given} | changes
+    lines = (f"{k} = {v}  ! text" for k, v in values.items() if k not in without)
+    path.write_text(text + "\n".join(lines))
+    return path
+
+
+def test_a_file_is_read_with_its_scaling_factors(tmp_path):
+    c = read_tir(write(tmp_path / "a.tir", PKY1=-12.5, PDY1=0.9, PCX1=1.55))
+    assert c[tire.R0] == 0.376
+    assert c[tire.FNOMIN] == 3800
+    assert c[tire.KZ] == 175000
+    assert c[tire.PKY1] == 12.5  # positive in this package's sign of the slip angle
+    assert c[tire.PDY1] == 0.45  # times LMUY
+    assert c[tire.PCX1] == 1.55
+    assert c[tire.QSY1] == 0.0  # optional
+
+
+def test_a_missing_coefficient_is_named(tmp_path):
+    with pytest.raises(DataError, match="lacks the tire coefficients PKY1, RBX1"):
+        read_tir(write(tmp_path / "a.tir", without=("PKY1", "RBX1")))
+
+
+def test_other_units_are_refused(tmp_path):
+    with pytest.raises(DataError, match="ANGLE in 'degree'"):
+        read_tir(write(tmp_path / "a.tir", text=TEXT.replace("radians", "degree")))
+
+
+def test_a_word_instead_of_a_number_is_named(tmp_path):
+    with pytest.raises(DataError, match="PCY1 as 'many'"):
+        read_tir(write(tmp_path / "a.tir", PCY1="many"))
+
+
+def test_a_missing_file_is_one_sentence(tmp_path):
+    with pytest.raises(DataError, match="none.tir cannot be read"):
+        read_tir(tmp_path / "none.tir")
