@@ -97,6 +97,8 @@ def simulate(
             reason = loop.run(seed, progress)
     except KeyboardInterrupt:
         reason = "interrupted"
+    finally:
+        plant.friction = loop.grip
     wall = time.perf_counter() - wall
     meta = loop.meta(reason, wall)
     meta.update(seed=seed, options={"delay": delay, **(options or {})})
@@ -126,7 +128,7 @@ class _Loop:
         rows = math.ceil(self.time_limit / plant.Ts) + 2
         self.recorder = Recorder(rows, self.Np, len(plant.qpos))
         self.grip = np.array(plant.friction)  # the plant's own, which the road's multiplies
-        self.road_friction = getattr(scenario, "friction", None)
+        self.road_friction = scenario.friction
         self.friction = np.ones(4)  # of the road under the wheels
         self.has_qp = False
         self.s_end = self.duration = 0.0
@@ -170,8 +172,7 @@ class _Loop:
             if self.delay:
                 queue.append(command)
                 command = queue.popleft()
-            if self.road_friction is not None:
-                self._lay_road(s)
+            self._lay_road(s)
             try:
                 state = plant.step(command, wind=scenario.wind.velocity(t, s, preview.psi[0]))
             except LPVMPCError as error:  # a diverged simulation ends the run, and is its result
@@ -206,14 +207,15 @@ class _Loop:
         """
         scenario = self.scenario
         x, y, psi, kappa = (float(value) for value in scenario.path.at(0.0))
-        if self.road_friction is not None:
-            self._lay_road(0.0)
+        self._lay_road(0.0)
         wind = scenario.wind.velocity(0.0, 0.0, psi)
         vx = float(scenario.speed.at(0.0))
         return self.plant.reset(x, y, psi, vx, kappa=kappa, wind=wind, align="course")
 
     def _lay_road(self, s: float) -> None:
-        """Friction of the road under each wheel, where the car is at arc length s [m]."""
+        """Put the road's friction under the wheels, where the car is at arc length s [m]."""
+        if self.road_friction is None:
+            return
         car = self.plant.params
         front, rear = self.road_friction(s + car.lf), self.road_friction(s - car.lr)
         if front != self.friction[0] or rear != self.friction[2]:

@@ -162,10 +162,12 @@ def test_friction_changes_where_the_wheels_are(point_plant, straight):
         straight, friction=lambda s: np.where(np.asarray(s) < 50.0, 1.0, 0.5)
     )
     columns = simulate(point_plant, Straight(), scenario).columns
-    s = columns["s_m"]
-    # The tire's peak times the road's factor, at the axles: lf ahead, lr behind.
-    assert np.array_equal(columns["mu_fl"], np.where(s + 1.2 < 50.0, 0.82, 0.41))
-    assert np.array_equal(columns["mu_rr"], np.where(s - 1.6 < 50.0, 0.82, 0.41))
+    # The tire's peak times the road's factor, at the axles: lf ahead, lr behind. Forces, and the
+    # friction with them, are those of the period that ends at a control instant.
+    s = columns["s_m"][:-1]
+    assert np.array_equal(columns["mu_fl"][1:], np.where(s + 1.2 < 50.0, 0.82, 0.41))
+    assert np.array_equal(columns["mu_rr"][1:], np.where(s - 1.6 < 50.0, 0.82, 0.41))
+    assert np.all(point_plant.friction == 1.0)  # the plant gets its own back
 
 
 # Bad controllers --------------------------------------------------------------------------------

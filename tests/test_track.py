@@ -89,7 +89,7 @@ def test_a_users_controller_is_driven_and_judged(run, road, user_module):
     code, out, err = run("--scenario", road, "--controller", f"{name}:Left", "--out", "here")
     assert code == 3 and err == ""
     assert "Not completed: off the path" in out
-    result = json.loads(open("here/metrics.json").read())
+    result = json.loads(Path("here/metrics.json").read_text())
     assert not result["completed"] and result["qp"]["solved"] == 0
 
 
@@ -103,17 +103,17 @@ PARAMETERS = [
     (["--scenario", "papers"], "Unknown scenario 'papers'; the choices are"),
     (["--controller", "mpc"], "Unknown controller 'mpc'; the choices are lpv-mpc, lpv-mpc-paper"),
     (["--controller", "absent:Mine"], "Controller 'absent:Mine' cannot be imported"),
-    (["--wind-scale", "-1"], "--wind-scale is -1.0, but must be from 0 to 10"),
-    (["--wind-scale", "nan"], "--wind-scale is nan"),
-    (["--friction", "0"], "--friction is 0.0, but must be from 0.05 to 2"),
-    (["--friction", "inf"], "--friction is inf"),
+    (["--wind-scale", "-1"], "wind_scale is -1.0, but must be a number from 0 to 10"),
+    (["--wind-scale", "nan"], "wind_scale is nan"),
+    (["--friction", "0"], "friction is 0.0, but must be a number from 0.05 to 2"),
+    (["--friction", "inf"], "friction is inf"),
     (["--seed", "-1"], "--seed is -1"),
     (["--seed", "x"], "Error parsing --seed"),
-    (["--v-max", "-3"], "--v-max is -3.0, but must be from 1 to 60 m/s"),
-    (["--v-max", "1e9"], "--v-max is 1000000000.0"),
-    (["--ay-max", "0"], "--ay-max is 0.0"),
-    (["--grip", "2"], "--grip is 2.0"),
-    (["--ay-max", "4", "--grip", "0.5"], "--ay-max and --grip exclude each other"),
+    (["--v-max", "-3"], "v_max is -3.0, but must be a number from 1 to 60 m/s"),
+    (["--v-max", "1e9"], "v_max is 1000000000.0"),
+    (["--ay-max", "0"], "ay_max is 0.0"),
+    (["--grip", "2"], "grip is 2.0"),
+    (["--ay-max", "4", "--grip", "0.5"], "both set the same limit"),
     (["--closed", "--no-closed"], "--closed and --no-closed exclude each other"),
     (["--delay", "-1"], "--delay is -1, but must be from 0 to 30 periods"),
     (["--delay", "0.5"], "Error parsing --delay"),
