@@ -12,6 +12,7 @@ import os
 import re
 import sys
 import time
+import warnings
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -105,8 +106,8 @@ def main(options: Options) -> int:
     video = cli.writable_folder(Path("videos")) / f"{name}.mp4" if options.render else None
     if options.json is not None:
         cli.writable_folder(options.json.parent)
-    forget_last_run(out)
     viewer = Viewer(plant, scenario.path) if options.view else None
+    forget_last_run(out)
     with Progress(viewer) as progress:
         log = simulate(
             plant,
@@ -207,11 +208,17 @@ class Viewer:
     """
 
     def __init__(self, plant: Plant, road: Road):
+        import glfw
         import mujoco
         from mujoco import viewer
 
         from lpvmpc import scenery
 
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", glfw.GLFWError)  # said in our own words instead
+            if not glfw.init():
+                raise RenderError("--view cannot open a window on this display; --render makes a "
+                                  "video without one.")  # fmt: skip
         self.plant = plant
         self.scenery = scenery.build(road, width=1280, height=720)
         self.data = mujoco.MjData(self.scenery.model)

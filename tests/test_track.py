@@ -275,3 +275,11 @@ def test_an_interrupt_saves_what_was_measured(road, user_module, tmp_path, root)
     assert result["reason"] == "interrupted" and not result["completed"]
     assert 0.0 < result["duration_s"] < 4.0
     assert (tmp_path / "here" / "trace.parquet").exists()
+
+
+def test_a_dead_display_is_one_sentence(run, road, monkeypatch):
+    monkeypatch.setenv("DISPLAY", ":987")
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    code, out, err = run("--scenario", road, "--view", "--out", "here")
+    assert code == 2 and err.count("\n") == 1
+    assert "--view cannot open a window on this display" in err
