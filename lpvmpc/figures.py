@@ -115,8 +115,10 @@ def path(log: Any) -> Figure:
     along the path against the error across it.
     """
     c = log.columns
-    figure = _figure(COLUMN, 4.15)
-    grid = figure.add_gridspec(2, 3, height_ratios=(2.5, 1.0))
+    wide, high = np.ptp(c["x_ref_m"]) + 40.0, np.ptp(c["y_ref_m"]) + 40.0  # m
+    tall = float(np.clip(2.9 * high / wide, 0.9, 2.9))  # inch
+    figure = _figure(COLUMN, tall + 1.95)
+    grid = figure.add_gridspec(2, 3, height_ratios=(tall, 1.0))
     plane = figure.add_subplot(grid[0, :])
     _title(plane, log, "Path")
     plane.plot(c["x_ref_m"], c["y_ref_m"], color="#D4D4D4", lw=4.0, solid_capstyle="round",
@@ -132,22 +134,24 @@ def path(log: Any) -> Figure:
     figure.legend(handles, labels, ncols=4, loc="outside lower center")
 
     span = 25.0  # half the width of a zoom [m]
-    limit = 1.15 * _largest(c["ey_m"]) * 1e3
     for index, (letter, (what, row)) in enumerate(zip("ABC", _zooms(c).items(), strict=True)):
         mark = (float(c["x_m"][row]), float(c["y_m"][row]))
         plane.plot(*mark, "o", ms=5.0, mfc="white", mec=RED, mew=1.0, zorder=6)
         plane.annotate(letter, mark, xytext=(4, 4), textcoords="offset points", color=RED,
                        weight="bold", zorder=7)
         zoom = figure.add_subplot(grid[1, index])
-        near = np.abs(c["s_m"] - c["s_m"][row]) <= span
+        along = c["s_m"] - c["s_m"][row]
+        near = np.abs(along) <= span
         zoom.axhline(0.0, color="black", lw=0.8, ls=(0, (4, 2)))
-        zoom.plot(c["s_m"][near], 1e3 * c["ey_m"][near], color=BLUE, lw=1.2)
+        zoom.plot(along[near], 1e3 * c["ey_m"][near], color=BLUE, lw=1.2)
+        limit = 1.15e3 * _largest(c["ey_m"][near])
         zoom.set_ylim(-limit, limit)
         zoom.set_title(f"{letter}  {what}", fontsize=6.8, color=RED)
         _axis(zoom, "left error [mm]" if index == 0 else "")
-        zoom.tick_params(labelleft=index == 0)
-        zoom.locator_params(axis="x", nbins=3)
-        zoom.set_xlabel("s [m]")
+        zoom.locator_params(axis="y", nbins=3)
+        zoom.set_xlim(-span, span)
+        zoom.set_xticks((-20, 0, 20))
+        zoom.set_xlabel(f"s − {c['s_m'][row]:.0f} [m]")
     return figure
 
 
@@ -272,7 +276,7 @@ def gg(log: Any) -> Figure:
 
 def _zooms(c: dict[str, Any]) -> dict[str, int]:
     """Rows worth a closer look: largest error, tightest bend, strongest wind."""
-    places = {"largest error": "ey_m", "tightest bend": "kappa_radpm", "strongest wind": "wind_mps"}
+    places = {"largest error": "ey_m", "tightest bend": "kappa_radpm", "peak wind": "wind_mps"}
     return {what: int(np.argmax(np.nan_to_num(np.abs(c[name])))) for what, name in places.items()}
 
 

@@ -15,20 +15,17 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from lpvmpc.errors import OptionError, OutputError, RenderError
+from lpvmpc.errors import OptionError, RenderError
 from lpvmpc.hud import Hud
 from lpvmpc.scenery import Scenery, build
-
-if TYPE_CHECKING:
-    import av.container
-    import av.video.stream
+from lpvmpc.video import Encoder
 
 Array = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]
@@ -298,7 +295,7 @@ class Stage:
             use = min(float(np.hypot(Fx, Fy)) / max(now[f"mu_{wheel}"] * Fz, 1.0), 1.0)
             colour = (int(70 + 185 * min(2.0 * use, 1.0)), int(225 - 150 * max(use - 0.3, 0.0)), 70)
             (u0, v0), (u1, v1) = np.round(ends).astype(int).tolist()
-            share = min(2.6 * width / float(np.hypot(u1 - u0, v1 - v0)), 0.6)
+            share = min(2.6 * width / float(np.hypot(u1 - u0, v1 - v0)), 0.45)
             for thick, ink in ((width + 3, (20, 24, 28)), (width, colour)):
                 cv2.arrowedLine(frame, (u0, v0), (u1, v1), ink, thick, cv2.LINE_AA, 0, share)
 
@@ -326,78 +323,15 @@ class Stage:
             self._arrow((*(tip - length * blow), 1.0), (*tip, 1.0), 0.05, (*AIR, 1.0))
 
 
-class Encoder:
-    """A video file that appears under its name when it is closed, and always plays."""
-
-    def __init__(self, path: FilePath, width: int, height: int, fps: int) -> None:
-        """Args: the file to write, the size of the pictures [px], frames per second."""
-        self.path = path
-        self.part = path.with_name(f".{path.stem}.part{path.suffix or '.mp4'}")
-        self.size, self.fps = (width, height), fps
-        self.frames = 0
-
-    def __enter__(self) -> Encoder:
-        import av
-
-        av.logging.set_level(av.logging.ERROR)
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            self.container: av.container.OutputContainer = av.open(
-                str(self.part), "w", format="mp4", options={"movflags": "+faststart"})
-        except OSError as error:
-            raise OutputError(
-                f"Cannot write {str(self.path)!r}: {error.strerror or error}.") from error
-        self.stream = _stream(self.container, self.fps)
-        self.stream.width, self.stream.height = self.size
-        self.stream.pix_fmt = "yuv420p"
-        return self
-
-    def add(self, frame: Image) -> None:
-        """Append one RGB picture."""
-        import av
-
-        picture = av.VideoFrame.from_ndarray(frame, format="rgb24")
-        for packet in self.stream.encode(picture):
-            self.container.mux(packet)
-        self.frames += 1
-
-    def __exit__(self, kind: type[BaseException] | None, error: object, trace: object) -> None:
-        """Finish the file; keep it unless something other than Ctrl-C went wrong."""
-        try:
-            if self.frames:
-                for packet in self.stream.encode():
-                    self.container.mux(packet)
-        finally:
-            self.container.close()
-        if self.frames and (kind is None or issubclass(kind, KeyboardInterrupt)):
-            os.replace(self.part, self.path)
-        else:
-            self.part.unlink(missing_ok=True)
-
-
-def _stream(container: Any, fps: int) -> Any:
-    """Video stream of the best encoder that this PyAV has."""
-    import av
-
-    for codec, options in (("libx264", {"preset": "veryfast", "crf": "23"}),
-                           ("libvpx-vp9", {"deadline": "realtime", "cpu-used": "8", "crf": "34",
-                                           "b": "0", "row-mt": "1"})):
-        try:
-            av.codec.Codec(codec, "w")
-        except ValueError:  # UnknownCodecError
-            continue
-        return container.add_stream(codec, rate=fps, options=options)
-    raise RenderError("PyAV has neither libx264 nor libvpx-vp9; reinstall it: pip install av.")
-
-
 def run_hud(log: Any, width: int, height: int) -> Hud:
     """Instruments scaled to a run."""
     c, path = log.columns, log.scenario.path
     road = np.stack(path.at(np.linspace(0.0, path.length, 400))[:2], axis=1)
 
     def full(values: Any, steps: tuple[float, ...]) -> float:
+        """The first step above all but the rarest values."""
         finite = np.abs(values[np.isfinite(values)])
-        peak = float(np.max(finite, initial=0.0))
+        peak = float(np.percentile(finite, 99.5)) if finite.size else 0.0
         return next((step for step in steps if step >= peak), steps[-1])
 
     scales = {

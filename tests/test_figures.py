@@ -74,7 +74,7 @@ def test_the_papers_values_are_those_of_its_text():
 def test_the_zooms_hold_the_largest_error_and_the_strongest_wind(log):
     rows = figures._zooms(log.columns)
     assert abs(log.columns["ey_m"][rows["largest error"]]) == np.abs(log.columns["ey_m"]).max()
-    assert log.columns["wind_mps"][rows["strongest wind"]] == log.columns["wind_mps"].max()
+    assert log.columns["wind_mps"][rows["peak wind"]] == log.columns["wind_mps"].max()
 
 
 def test_the_friction_circle_has_the_radius_of_the_plants_friction():

@@ -141,7 +141,7 @@ def test_big_packages_stay_where_they_belong(root):
         "proxsuite": {"qp"},
         "torch": {"training"},
         "matplotlib": {"figures"},
-        "av": {"render"},
+        "av": {"video"},
     }
     for file in (root / "lpvmpc").rglob("*.py"):
         packages = {name.split(".")[0] for name in imports(file)}

@@ -1,0 +1,160 @@
+"""Video files: encoding pictures so that a browser plays them, and the README's moving picture."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from fractions import Fraction
+from pathlib import Path as FilePath
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lpvmpc.errors import DataError, OptionError, OutputError, RenderError
+
+if TYPE_CHECKING:
+    import av.container
+    import av.video.stream
+
+Image = npt.NDArray[np.uint8]
+
+
+class Encoder:
+    """A video file that appears under its name when it is closed, and always plays."""
+
+    def __init__(self, path: FilePath, width: int, height: int, fps: int) -> None:
+        """Args: the file to write, the size of the pictures [px], frames per second."""
+        self.path = path
+        self.part = path.with_name(f".{path.stem}.part{path.suffix or '.mp4'}")
+        self.size, self.fps = (width, height), fps
+        self.frames = 0
+
+    def __enter__(self) -> Encoder:
+        import av
+
+        av.logging.set_level(av.logging.ERROR)
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self.container: av.container.OutputContainer = av.open(
+                str(self.part), "w", format="mp4", options={"movflags": "+faststart"})
+        except OSError as error:
+            raise OutputError(
+                f"Cannot write {str(self.path)!r}: {error.strerror or error}.") from error
+        self.stream = _stream(self.container, self.fps)
+        self.stream.width, self.stream.height = self.size
+        self.stream.pix_fmt = "yuv420p"
+        return self
+
+    def add(self, frame: Image) -> None:
+        """Append one RGB picture."""
+        import av
+
+        picture = av.VideoFrame.from_ndarray(frame, format="rgb24")
+        for packet in self.stream.encode(picture):
+            self.container.mux(packet)
+        self.frames += 1
+
+    def __exit__(self, kind: type[BaseException] | None, error: object, trace: object) -> None:
+        """Finish the file; keep it unless something other than Ctrl-C went wrong."""
+        try:
+            if self.frames:
+                for packet in self.stream.encode():
+                    self.container.mux(packet)
+        finally:
+            self.container.close()
+        if self.frames and (kind is None or issubclass(kind, KeyboardInterrupt)):
+            os.replace(self.part, self.path)
+        else:
+            self.part.unlink(missing_ok=True)
+
+
+def _stream(container: Any, fps: int) -> Any:
+    """Video stream of the best encoder that this PyAV has."""
+    import av
+
+    for codec, options in (("libx264", {"preset": "veryfast", "crf": "23"}),
+                           ("libvpx-vp9", {"deadline": "realtime", "cpu-used": "8", "crf": "34",
+                                           "b": "0", "row-mt": "1"})):
+        try:
+            av.codec.Codec(codec, "w")
+        except ValueError:  # UnknownCodecError
+            continue
+        return container.add_stream(codec, rate=fps, options=options)
+    raise RenderError("PyAV has neither libx264 nor libvpx-vp9; reinstall it: pip install av.")
+
+
+def moving_picture(video: str | FilePath, path: str | FilePath, *, start: float = 0.0,
+                   seconds: float = 6.0, width: int = 600, fps: int = 10,
+                   limit: int = 1_500_000) -> FilePath:
+    """Cut an endless animated WebP out of a video, small enough for a README.
+
+    The quality is lowered until the file is below the limit.
+
+    Args:
+        video: File of `render_video`.
+        path: File to write, .webp.
+        start: Where the cut begins [s].
+        seconds: How long it is [s].
+        width: Width of the picture [px], even.
+        fps: Pictures per second.
+        limit: Largest size of the file [byte].
+
+    Returns:
+        The file written.
+
+    Raises:
+        DataError: The video is missing, damaged or ends before `start`.
+        OptionError: No quality makes the file small enough.
+        OutputError: The file cannot be written.
+    """
+    path = FilePath(path)
+    pictures = list(_cut(FilePath(video), start, seconds, width, fps))
+    if not pictures:
+        raise DataError(f"{str(video)!r} has no pictures from {start:g} s on.")
+    part = path.with_name(f".{path.stem}.part.webp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        for quality in range(80, 0, -10):
+            _write_webp(part, pictures, fps, quality)
+            if part.stat().st_size <= limit:
+                os.replace(part, path)
+                return path
+        part.unlink()
+    except OSError as error:
+        raise OutputError(f"Cannot write {str(path)!r}: {error.strerror or error}.") from error
+    raise OptionError("limit", limit, "more bytes than the lowest quality needs")
+
+
+def _cut(video: FilePath, start: float, seconds: float, width: int, fps: int) -> Iterator[Any]:
+    """Pictures of a part of a video, scaled and thinned to `fps`."""
+    import av
+
+    try:
+        with av.open(str(video)) as container:
+            due = start
+            for frame in container.decode(video=0):
+                if frame.time is None or frame.time < due - 1e-6:
+                    continue
+                if frame.time >= start + seconds - 1e-6:
+                    break
+                due += 1.0 / fps
+                height = round(width * frame.height / frame.width / 2.0) * 2
+                yield frame.reformat(width, height, format="yuv420p", interpolation="AREA")
+    except (OSError, av.FFmpegError) as error:
+        raise DataError(f"Cannot read the video {str(video)!r}: {error}.") from error
+
+
+def _write_webp(path: FilePath, pictures: list[Any], fps: int, quality: int) -> None:
+    """Write an animated WebP that starts again for ever."""
+    import av
+
+    with av.open(str(path), "w", format="webp", options={"loop": "0"}) as container:
+        stream = container.add_stream("libwebp_anim", rate=fps, options={
+            "quality": str(quality), "compression_level": "4"})
+        stream.width, stream.height = pictures[0].width, pictures[0].height
+        stream.pix_fmt = "yuv420p"
+        for number, picture in enumerate(pictures):
+            picture.pts, picture.time_base = number, Fraction(1, fps)
+            container.mux(stream.encode(picture))
+        container.mux(stream.encode())
