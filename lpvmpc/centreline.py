@@ -82,7 +82,7 @@ def read_csv(file: str | FilePath) -> Track:
         raise PathError(f"The track file {file} holds no points.")
     width = len(rows[0])
     if width < 2:
-        raise PathError(f"The track file {file} has one column, but needs {', '.join(COLUMNS[:2])}.")
+        raise PathError(f"The track file {file} has one column, but needs x_m and y_m.")
     if names is None:
         names = list(COLUMNS[:width])
     if len(names) != width or "y_m" not in names or len(set(names)) != width:
@@ -212,27 +212,30 @@ def fit(
         u, period = np.interp(u, dense, arc), float(arc[-1])
     (dx, dy), (ddx, ddy) = curve(dense, 1).T, curve(dense, 2).T
     cells = math.ceil(period / grid - 1e-9)
-    kappa = np.interp(
-        np.linspace(0.0, arc[-1], cells + 1), arc, (dx * ddy - dy * ddx) / speed**3
-    )
+    kappa = np.interp(np.linspace(0.0, arc[-1], cells + 1), arc, (dx * ddy - dy * ddx) / speed**3)
     start = curve(0.0)
-    road = {
-        "length": float(arc[-1]),
-        "x0": float(start[0]),
-        "y0": float(start[1]),
-        "psi0": math.atan2(dy[0], dx[0]),
-        "closed": closed,
-    }
-    path = Path(kappa, **road)
-    feet = np.array([path.project(*p, s) for p, s in zip(xy, u, strict=True)])  # (k, 2)
+
+    def path_with(right: npt.ArrayLike, left: npt.ArrayLike, shift: float) -> Path:
+        return Path(
+            kappa,
+            float(arc[-1]),
+            x0=float(start[0]),
+            y0=float(start[1]),
+            psi0=math.atan2(dy[0], dx[0]),
+            closed=bool(closed),
+            width=(right, left),
+            largest_shift=shift,
+        )
+
+    path = path_with(WIDTH, WIDTH, 0.0)
+    feet = np.array([path.project(x, y, near) for (x, y), near in zip(xy, u, strict=True)])
     right, left = (
         WIDTH
         if width is None
         else np.interp(path.s, feet[:, 0], width[: len(xy)], period=path.length if closed else None)
         for width in widths
     )
-    shift = float(np.abs(feet[:, 1]).max())
-    path = Path(kappa, **road, width=(right, left), largest_shift=shift)
+    path = path_with(right, left, float(np.abs(feet[:, 1]).max()))
     return Fit(path=path, s=feet[:, 0], keep=len(xy))
 
 
@@ -242,9 +245,9 @@ def _spline(u, xy, period, closed, smoothing):
     Returns:
         Function of parameters (m,) and the order of the derivative, giving (m, 2).
     """
-    from scipy.interpolate import BSpline  # only here, and scipy.sparse: see Layout in design
-    from scipy.sparse import csr_array
-    from scipy.sparse.linalg import spsolve
+    from scipy.interpolate import BSpline
+    from scipy.sparse import csr_array  # type: ignore[import-untyped]
+    from scipy.sparse.linalg import spsolve  # type: ignore[import-untyped]
 
     cells = max(8, math.ceil(period / max(1.0, 0.5 * float(np.median(np.diff(u))))))
     h, k = period / cells, 5
@@ -254,16 +257,16 @@ def _spline(u, xy, period, closed, smoothing):
     column = np.arange(cells + k) % size  # basis functions of a closed curve are wrapped round
     fold = csr_array((np.ones(cells + k), (np.arange(cells + k), column)))
     inside = period * (1.0 - 1e-12)  # the last knot belongs to no cell
-    weight = np.gradient(u) if not closed else 0.5 * (
-        np.diff(u, append=u[0] + period) + np.diff(u, prepend=u[-1] - period)
+    weight = (
+        np.gradient(u)
+        if not closed
+        else 0.5 * (np.diff(u, append=u[0] + period) + np.diff(u, prepend=u[-1] - period))
     )
     penalty = _third_derivative_penalty(h, k, cells, size)
     data = csr_array(BSpline.design_matrix(np.clip(u, 0.0, inside), knots, k) @ fold)
     factor = (max(smoothing, 0.2 * h) / (2.0 * math.pi)) ** 6
     normal = (data.T @ (data * weight[:, None]) + factor * penalty).tocsc()
-    coefficients = np.column_stack(
-        [spsolve(normal, data.T @ (weight * xy[:, j])) for j in (0, 1)]
-    )
+    coefficients = np.column_stack([spsolve(normal, data.T @ (weight * xy[:, j])) for j in (0, 1)])
     spline = BSpline(knots, coefficients[column], k)
     return lambda at, order=0: spline(np.clip(at, 0.0, inside), order)
 
@@ -273,8 +276,8 @@ def _third_derivative_penalty(h, k, cells, size):
 
     The third derivative is quadratic in a cell of width h, so three Gauss points are exact.
     """
-    from scipy.interpolate import BSpline
-    from scipy.sparse import coo_array
+    from scipy.interpolate import BSpline  # type: ignore[import-untyped]
+    from scipy.sparse import coo_array  # type: ignore[import-untyped]
 
     nodes, weights = np.polynomial.legendre.leggauss(3)
     values = np.zeros((k + 1, 3))  # third derivatives of the k + 1 functions that live on a cell
@@ -283,12 +286,12 @@ def _third_derivative_penalty(h, k, cells, size):
         unit[j] = 1.0
         values[j] = BSpline(np.arange(-k, k + 2), unit, k).derivative(3)(0.5 + 0.5 * nodes)
     element = (values * (0.5 * weights)) @ values.T / h**5
-    i, j = np.meshgrid(np.arange(k + 1), np.arange(k + 1), indexing="ij")
+    row, column = np.indices((k + 1, k + 1))
     start = np.arange(cells)[:, None]
     return coo_array(
         (
             np.tile(element.ravel(), cells),
-            ((start + i.ravel()).ravel() % size, (start + j.ravel()).ravel() % size),
+            ((start + row.ravel()).ravel() % size, (start + column.ravel()).ravel() % size),
         ),
         shape=(size, size),
     ).tocsr()

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from lpvmpc import clothoid
 from lpvmpc.errors import PathError
 
 if TYPE_CHECKING:
@@ -30,11 +30,6 @@ GRID = 0.2
 
 MAX_POINTS = 2_000_000
 """More grid points than this is a mistake in units (400 km at the default spacing)."""
-
-# Three-point Gauss-Legendre on [0, 1]. Over one cell the heading turns by at most 0.05 rad, so the
-# quadrature error is about 1e-16 m: position is exact to rounding.
-_C1, _C2, _C3 = 0.5 - math.sqrt(0.15), 0.5, 0.5 + math.sqrt(0.15)
-_W1, _W2 = 5.0 / 18.0, 4.0 / 9.0
 
 
 class Preview(NamedTuple):
@@ -121,8 +116,8 @@ class Path:
         self.spacing = self.length / n
         self.closure_correction = 0.0
         if closed:
-            kappa, psi0 = self._close(kappa, psi0)
-        psi, x, y = _integrate(kappa, self.spacing, x0, y0, psi0)
+            kappa = self._close(kappa, psi0)
+        psi, x, y = clothoid.integrate(kappa, self.spacing, x0, y0, psi0)
         self.s = np.linspace(0.0, self.length, n + 1)
         # One contiguous table, so that a compiled call has one array to unpack.
         self._table = np.ascontiguousarray(np.column_stack([x, y, psi, kappa]))
@@ -134,7 +129,7 @@ class Path:
         self.width_left = np.broadcast_to(np.asarray(left, dtype=float), (n + 1,))
         self.largest_shift = float(largest_shift)
 
-    def _close(self, kappa: Array, psi0: float) -> tuple[Array, float]:
+    def _close(self, kappa: Array, psi0: float) -> Array:
         """Correct the curvature so that position and heading close.
 
         To first order a change dk(s) moves the end by the integrals of dk (heading), -(y_end - y)
@@ -146,7 +141,7 @@ class Path:
         jump = abs(kappa[-1] - kappa[0])
         kappa[0] = kappa[-1] = 0.5 * (kappa[0] + kappa[-1])
         before = kappa.copy()
-        psi, x, y = _integrate(kappa, h, 0.0, 0.0, psi0)
+        psi, x, y = clothoid.integrate(kappa, h, 0.0, 0.0, psi0)
         turn = 2.0 * math.pi * round((psi[-1] - psi[0]) / (2.0 * math.pi))
         gap = math.hypot(x[-1], y[-1])
         if gap > 0.05 * self.length or abs(psi[-1] - psi[0] - turn) > 0.5 or jump > 0.05:
@@ -159,7 +154,7 @@ class Path:
         basis /= np.where(scale > 0.0, scale, 1.0)
         basis[-1] = basis[0] = 0.5 * (basis[0] + basis[-1])
         for _ in range(12):
-            psi, x, y = _integrate(kappa, h, 0.0, 0.0, psi0)
+            psi, x, y = clothoid.integrate(kappa, h, 0.0, 0.0, psi0)
             miss = np.array([psi[-1] - psi[0] - turn, x[-1], y[-1]])
             weight = np.full(n + 1, h)
             weight[[0, -1]] *= 0.5
@@ -168,7 +163,7 @@ class Path:
             if np.abs(miss).max() < 1e-12 * max(1.0, self.length):
                 break
         self.closure_correction = float(np.abs(kappa - before).max())
-        return kappa, psi0
+        return kappa
 
     @classmethod
     def from_curvature(
@@ -224,7 +219,9 @@ class Path:
             x [m], y [m], psi [rad, unwrapped], kappa [1/m], each of shape (...,).
         """
         s = np.asarray(s, dtype=float)
-        out = _poses(self._table, self.spacing, self.closed, np.ascontiguousarray(s).ravel())
+        out = clothoid.poses(
+            self._table, self.spacing, self.closed, np.ascontiguousarray(s).ravel()
+        )
         return tuple(column.reshape(s.shape) for column in out)  # type: ignore[return-value]
 
     def project(self, x: float, y: float, s_prev: float) -> tuple[float, float]:
@@ -241,7 +238,7 @@ class Path:
         Returns:
             s [m] (not wrapped on closed paths) and ey [m, left positive].
         """
-        return _project(self._table, self.spacing, self.closed, x, y, s_prev)
+        return clothoid.project(self._table, self.spacing, self.closed, x, y, s_prev)
 
     def locate(self, x: float, y: float, psi: float | None = None) -> tuple[float, float]:
         """Nearest point of the whole path: the first projection, when nothing is known.
@@ -286,7 +283,7 @@ class Path:
             Np: Number of steps of the horizon.
             Ts: Step [s].
         """
-        s, ey, epsi, rows = _preview(
+        s, ey, epsi, rows = clothoid.preview(
             self._table,
             self.spacing,
             self.closed,
@@ -300,117 +297,3 @@ class Path:
             Ts,
         )
         return Preview(s, ey, epsi, rows[0], rows[1], rows[2], rows[3], rows[4])
-
-
-def _integrate(
-    kappa: Array, h: float, x0: float, y0: float, psi0: float
-) -> tuple[Array, Array, Array]:
-    """Heading and position on the grid from the curvature: exact integrals, shapes (n + 1,)."""
-    k0, dk = kappa[:-1], np.diff(kappa)
-    psi = psi0 + np.concatenate([[0.0], np.cumsum(h * (k0 + 0.5 * dk))])
-    cos_mean, sin_mean = np.zeros(len(k0)), np.zeros(len(k0))
-    for c, w in ((_C1, _W1), (_C2, _W2), (_C3, _W1)):
-        angle = psi[:-1] + h * c * (k0 + 0.5 * c * dk)
-        cos_mean += w * np.cos(angle)
-        sin_mean += w * np.sin(angle)
-    x = x0 + np.concatenate([[0.0], np.cumsum(h * cos_mean)])
-    y = y0 + np.concatenate([[0.0], np.cumsum(h * sin_mean)])
-    return psi, x, y
-
-
-@njit(cache=True)
-def _pose(table, h, closed, s):
-    """Position, heading and curvature at one arc length [m]; see `Path.at`."""
-    n = table.shape[0] - 1
-    length = n * h
-    extra = 0.0
-    if closed:
-        laps = math.floor(s / length)
-        s -= laps * length
-        extra = laps * (table[n, 2] - table[0, 2])
-    elif s < 0.0 or s > length:
-        # Beyond an end: the circle of the curvature there, through its chord.
-        i = 0 if s < 0.0 else n
-        u = s if s < 0.0 else s - length
-        k = table[i, 3]
-        half = 0.5 * k * u
-        chord = u if abs(half) < 1e-8 else u * math.sin(half) / half
-        psi = table[i, 2] + half
-        return (
-            table[i, 0] + chord * math.cos(psi),
-            table[i, 1] + chord * math.sin(psi),
-            psi + half,
-            k,
-        )
-    i = min(int(s / h), n - 1)
-    u = s - i * h
-    k0 = table[i, 3]
-    dk = 0.5 * (table[i + 1, 3] - k0) / h
-    psi0 = table[i, 2] + extra
-    u1, u2, u3 = _C1 * u, _C2 * u, _C3 * u
-    a1 = psi0 + u1 * (k0 + dk * u1)
-    a2 = psi0 + u2 * (k0 + dk * u2)
-    a3 = psi0 + u3 * (k0 + dk * u3)
-    x = table[i, 0] + u * (_W1 * (math.cos(a1) + math.cos(a3)) + _W2 * math.cos(a2))
-    y = table[i, 1] + u * (_W1 * (math.sin(a1) + math.sin(a3)) + _W2 * math.sin(a2))
-    return x, y, psi0 + u * (k0 + dk * u), k0 + 2.0 * dk * u
-
-
-@njit(cache=True)
-def _poses(table, h, closed, s):
-    x, y, psi, kappa = np.empty(s.size), np.empty(s.size), np.empty(s.size), np.empty(s.size)
-    for j in range(s.size):
-        x[j], y[j], psi[j], kappa[j] = _pose(table, h, closed, s[j])
-    return x, y, psi, kappa
-
-
-@njit(cache=True)
-def _project(table, h, closed, x, y, s):
-    """Local descent of the distance; see `Path.project`. Returns s and ey [m]."""
-    # Newton on (p - r(s)) . t(s) = 0, whose derivative is -(1 - kappa ey). The floor keeps the
-    # step downhill where the point lies beyond the centre of curvature.
-    for _ in range(200):
-        px, py, psi, kappa = _pose(table, h, closed, s)
-        c, d = math.cos(psi), math.sin(psi)
-        along = (x - px) * c + (y - py) * d
-        across = (y - py) * c - (x - px) * d
-        step = along / max(1.0 - kappa * across, 0.2)
-        step = min(max(step, -1.0), 1.0)
-        s += step
-        if abs(step) < 1e-10:
-            break
-    px, py, psi, kappa = _pose(table, h, closed, s)
-    return s, (y - py) * math.cos(psi) - (x - px) * math.sin(psi)
-
-
-@njit(cache=True)
-def _speed(vx, h, closed, s):
-    """Reference speed [m/s] at one arc length, linear between grid points, held at open ends."""
-    n = vx.size - 1
-    q = s / h
-    if closed:
-        q -= math.floor(q / n) * n
-    i = min(max(int(q), 0), n - 1)
-    f = min(max(q - i, 0.0), 1.0)
-    return vx[i] + f * (vx[i + 1] - vx[i])
-
-
-@njit(cache=True)
-def _preview(table, h, closed, vx, h_vx, x, y, psi, s_prev, Np, Ts):
-    """See `Path.preview`: s, ey, epsi and rows kappa, vx_ref, x, y, psi, shape (5, Np + 1)."""
-    s0, ey = _project(table, h, closed, x, y, s_prev)
-    rows = np.empty((5, Np + 1))
-    s = s0
-    for j in range(Np + 1):
-        px, py, path_psi, kappa = _pose(table, h, closed, s)
-        v = _speed(vx, h_vx, closed, s)
-        rows[0, j], rows[1, j], rows[2, j], rows[3, j], rows[4, j] = kappa, v, px, py, path_psi
-        # Classic Runge-Kutta step of ds/dt = vx_ref(s).
-        v2 = _speed(vx, h_vx, closed, s + 0.5 * Ts * v)
-        v3 = _speed(vx, h_vx, closed, s + 0.5 * Ts * v2)
-        v4 = _speed(vx, h_vx, closed, s + Ts * v3)
-        s += Ts * (v + 2.0 * v2 + 2.0 * v3 + v4) / 6.0
-    epsi = psi - rows[4, 0]
-    epsi -= 2.0 * math.pi * math.ceil(epsi / (2.0 * math.pi) - 0.5)
-    return s0, ey, epsi, rows
-

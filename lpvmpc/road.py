@@ -80,7 +80,8 @@ def read_segments(description: Sequence[Sequence[Any]]) -> list[tuple[float | No
 def close_with_lines(segments: Sequence[tuple[float | None, float]]) -> list[Segment]:
     """Choose the lengths of the two straights that are None so that the road closes.
 
-    The gap is linear in the two lengths: gap + L1 (cos psi1, sin psi1) + L2 (cos psi2, sin psi2) = 0.
+    The gap is linear in the two lengths:
+    gap + L1 (cos psi1, sin psi1) + L2 (cos psi2, sin psi2) = 0.
 
     Raises:
         PathError: Not two unknown straights, parallel ones, or a length that would be negative.
@@ -96,9 +97,7 @@ def close_with_lines(segments: Sequence[tuple[float | None, float]]) -> list[Seg
             headings.append(psi)
         if length > 0.0:
             cells = math.ceil(length / 0.5)
-            piece = Path(
-                np.linspace(kappa, kappa_end, cells + 1), length, x0=x, y0=y, psi0=psi
-            )
+            piece = Path(np.linspace(kappa, kappa_end, cells + 1), length, x0=x, y0=y, psi0=psi)
             x, y, psi = float(piece.x[-1]), float(piece.y[-1]), float(piece.psi[-1])
         kappa = kappa_end
     directions = np.array([[math.cos(a), math.sin(a)] for a in headings]).T  # (2, 2)

@@ -21,6 +21,8 @@ DRIVE_MARGIN = 0.85
 """Share of the motor's and the brakes' force that a plan may use; the rest is for control."""
 _STEP = 0.02
 """Time step of the smoothing [s]."""
+_HALF = math.ceil(SMOOTHING_TIME / _STEP)
+"""Steps on either side of its window."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,8 @@ class SpeedProfile:
             path: The path it belongs to.
         """
         period = path.length if path.closed else None
-        return cls(np.interp(path.s, s, vx, period=period), path.length, path.closed)
+        at, speeds = np.asarray(s, dtype=float), np.asarray(vx, dtype=float)
+        return cls(np.interp(path.s, at, speeds, period=period), path.length, path.closed)
 
     @classmethod
     def constant(cls, vx: float, path: Path) -> SpeedProfile:
@@ -81,7 +84,7 @@ class SpeedProfile:
     def at(self, s: npt.ArrayLike) -> Array:
         """Reference speed [m/s] at arc lengths [m], shape (...,)."""
         period = self.length if self.closed else None
-        return np.interp(s, self.s, self.vx, period=period)
+        return np.interp(np.asarray(s, dtype=float), self.s, self.vx, period=period)
 
     @property
     def ax(self) -> Array:
@@ -140,7 +143,12 @@ def plan(
             drive_share**2 * params.m / params.Cf + (1.0 - drive_share) ** 2 * params.m / params.Cr,
         ]
     )
-    fastest = _fastest(path.kappa, path.spacing, path.closed, ceiling, limits)
+    tightest = np.abs(path.kappa)
+    for _ in range(2):
+        fastest = _fastest(tightest, path.spacing, path.closed, ceiling, limits)
+        # Smoothing moves the acceleration along the road by up to its window, so it may use only
+        # what the tightest curvature within that window leaves of the friction circle.
+        tightest = _widest(np.abs(path.kappa), fastest, path)
     return SpeedProfile(_smooth(fastest, path, ceiling), path.length, path.closed)
 
 
@@ -188,20 +196,33 @@ def _fastest(kappa, h, closed, ceiling, limits):
     return v
 
 
-def _smooth(fastest: Array, path: Path, ceiling: Array) -> Array:
-    """Minimum, then Hann-weighted mean, over +-`SMOOTHING_TIME` of the speed in time; see `plan`."""
-    mean = 0.5 * (fastest[1:] + fastest[:-1])
-    time = np.concatenate([[0.0], np.cumsum(path.spacing / mean)])
-    steps = max(round(time[-1] / _STEP), 1)
-    uniform = np.linspace(0.0, time[-1], steps + 1)
-    half = math.ceil(SMOOTHING_TIME / _STEP)
-    v = np.interp(uniform, time, fastest)
+def _windows(values: Array, speed: Array, path: Path) -> tuple[Array, Array, Array]:
+    """Values on a road seen in time, each with its neighbours within `SMOOTHING_TIME`.
+
+    Returns:
+        Times of the grid points (n + 1,), uniform times (m,), and windows (m + 2 half, 2 half + 1).
+    """
+    steps_s = path.spacing / (0.5 * (speed[1:] + speed[:-1]))
+    time = np.concatenate([[0.0], np.cumsum(steps_s)])
+    uniform = np.linspace(0.0, time[-1], max(round(time[-1] / _STEP), 1) + 1)
+    sampled = np.interp(uniform, time, values)
     if path.closed:
-        v = np.pad(v[:-1], (2 * half, 2 * half + 1), mode="wrap")
+        sampled = np.pad(sampled[:-1], (2 * _HALF, 2 * _HALF + 1), mode="wrap")
     else:
-        v = np.pad(v, 2 * half, mode="edge")
-    lowest = np.lib.stride_tricks.sliding_window_view(v, 2 * half + 1).min(axis=1)
-    window = np.hanning(2 * half + 3)[1:-1]
-    smooth = np.convolve(lowest, window / window.sum(), mode="valid")
+        sampled = np.pad(sampled, 2 * _HALF, mode="edge")
+    return time, uniform, np.lib.stride_tricks.sliding_window_view(sampled, 2 * _HALF + 1)
+
+
+def _widest(values: Array, speed: Array, path: Path) -> Array:
+    """Largest value within the window of every grid point, shape (n + 1,)."""
+    time, uniform, windows = _windows(values, speed, path)
+    return np.maximum(np.interp(time, uniform, windows.max(axis=1)[_HALF:-_HALF]), values)
+
+
+def _smooth(speed: Array, path: Path, ceiling: Array) -> Array:
+    """Minimum, then Hann mean of the speed over its window; see `plan`. Shape (n + 1,)."""
+    time, uniform, windows = _windows(speed, speed, path)
+    weights = np.hanning(2 * _HALF + 3)[1:-1]
+    smooth = np.convolve(windows.min(axis=1), weights / weights.sum(), mode="valid")
     # The grids of time and distance differ, so the result may miss the ceiling by rounding.
     return np.minimum(np.interp(time, uniform, smooth), ceiling)

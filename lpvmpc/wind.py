@@ -91,7 +91,7 @@ class Wind:
         Returns:
             World components [m/s].
         """
-        speed = self.speed(t, s)
+        speed = float(self.speed(t, s))
         return speed * math.sin(psi_path), -speed * math.cos(psi_path)
 
 
