@@ -113,14 +113,10 @@ def textbook(c, kappa, alpha, Fz):
 
     Dx = Fz * (k["PDX1"] + k["PDX2"] * dfz)
     Kx = Fz * (k["PKX1"] + k["PKX2"] * dfz) * np.exp(k["PKX3"] * dfz)
-    Fx0 = Dx * np.sin(
-        shape(Kx / (k["PCX1"] * Dx), k["PCX1"], k["PEX1"] + k["PEX2"] * dfz, kappa)
-    )
+    Fx0 = Dx * np.sin(shape(Kx / (k["PCX1"] * Dx), k["PCX1"], k["PEX1"] + k["PEX2"] * dfz, kappa))
     Dy = Fz * (k["PDY1"] + k["PDY2"] * dfz)
     Ky = k["PKY1"] * k["FNOMIN"] * np.sin(2 * np.arctan(Fz / (k["PKY2"] * k["FNOMIN"])))
-    Fy0 = Dy * np.sin(
-        shape(Ky / (k["PCY1"] * Dy), k["PCY1"], k["PEY1"] + k["PEY2"] * dfz, alpha)
-    )
+    Fy0 = Dy * np.sin(shape(Ky / (k["PCY1"] * Dy), k["PCY1"], k["PEY1"] + k["PEY2"] * dfz, alpha))
     Bxa = k["RBX1"] * np.cos(np.arctan(k["RBX2"] * kappa))
     Byk = k["RBY1"] * np.cos(np.arctan(k["RBY2"] * alpha))
     Fx = Fx0 * np.cos(shape(Bxa, k["RCX1"], k["REX1"], alpha))
