@@ -137,7 +137,8 @@ def test_modules_import_in_one_direction(root):
 
 def test_big_packages_stay_where_they_belong(root):
     homes = {
-        "mujoco": {"layout", "model", "native", "plant", "provenance", "render", "scenery"},
+        "mujoco": {"layout", "model", "motion", "native", "plant", "provenance", "render",
+                   "rollout", "scenery", "trim"},
         "proxsuite": {"qp"},
         "torch": {"training"},
         "matplotlib": {"figures"},

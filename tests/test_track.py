@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lpvmpc import cli
+from lpvmpc import cli, figures
 from lpvmpc.metrics import KEYS
 
 PERIOD = 0.033
@@ -25,6 +25,17 @@ def track():
     sys.modules["track"] = module
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture
+def sketch(monkeypatch):
+    """One empty file in place of the figures, which take seconds."""
+
+    def save_all(log, folder):
+        folder.mkdir(exist_ok=True)
+        (folder / "sketch.png").touch()
+
+    monkeypatch.setattr(figures, "save_all", save_all)
 
 
 @pytest.fixture
@@ -72,7 +83,7 @@ def test_a_run_leaves_everything_promised(run, road, tmp_path):
     assert max(len(line) for line in out.splitlines()) <= 80
 
 
-def test_the_same_seed_gives_the_same_trace(run, road, tmp_path):
+def test_the_same_seed_gives_the_same_trace(run, road, sketch, tmp_path):
     traces = []
     for folder in ("a", "b"):
         assert run("--scenario", road, "--out", tmp_path / folder)[0] == 0
@@ -80,7 +91,7 @@ def test_the_same_seed_gives_the_same_trace(run, road, tmp_path):
     assert traces[0] == traces[1]
 
 
-def test_a_users_controller_is_driven_and_judged(run, road, user_module):
+def test_a_users_controller_is_driven_and_judged(run, road, sketch, user_module):
     name = user_module(
         "class Left:\n"
         "    def reset(self, rng): pass\n"
@@ -204,7 +215,7 @@ def test_bad_controllers_are_one_sentence(run, road, user_module, name, sentence
     assert err.startswith("Error: ") and err.count("\n") == 1
 
 
-def test_a_run_that_fails_midway_does_not_look_complete(run, road, user_module, tmp_path):
+def test_a_run_that_fails_midway_does_not_look_complete(run, road, sketch, user_module, tmp_path):
     user_module(BROKEN)
     folder = tmp_path / "out"
     assert run("--scenario", road, "--out", folder)[0] == 0
@@ -215,7 +226,7 @@ def test_a_run_that_fails_midway_does_not_look_complete(run, road, user_module, 
     assert not list((folder / "figures").glob("*.png"))
 
 
-def test_a_mistyped_option_leaves_the_last_run_alone(run, road, tmp_path):
+def test_a_mistyped_option_leaves_the_last_run_alone(run, road, sketch, tmp_path):
     folder = tmp_path / "out"
     assert run("--scenario", road, "--out", folder)[0] == 0
     assert run("--scenario", road, "--out", folder, "--controller", "mine")[0] == 2
@@ -225,7 +236,7 @@ def test_a_mistyped_option_leaves_the_last_run_alone(run, road, tmp_path):
 # Pictures, displays, interrupts -----------------------------------------------------------------
 
 
-def test_a_machine_that_cannot_draw_is_a_warning(run, road, monkeypatch):
+def test_a_machine_that_cannot_draw_is_a_warning(run, road, sketch, monkeypatch):
     from lpvmpc import render
     from lpvmpc.errors import RenderError
 
