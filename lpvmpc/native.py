@@ -20,10 +20,10 @@ import mujoco
 from numba import carray, cfunc, njit, types
 
 from lpvmpc import layout, tire
-from lpvmpc.aero import aero_wrench
 from lpvmpc.errors import LPVMPCError
 from lpvmpc.layout import doubles, field, ints, longs, offsets
 from lpvmpc.model import LAYOUT, NA, NQ, NU, NUMERICS, NUSERDATA, NV
+from lpvmpc.wind import aero_wrench
 
 # Where the numerics of model.NUMERICS begin in numeric_data.
 _SIZES = dict(NUMERICS)
@@ -297,7 +297,7 @@ def _passive(m, d):
     wind_x = ctrl[2] * cos_psi + ctrl[3] * sin_psi
     wind_y = ctrl[3] * cos_psi - ctrl[2] * sin_psi
     Fx, Fy, Mz = aero_wrench(
-        wind_x - vx, wind_y - vy, p[AERO], p[AERO + 1], p[AERO + 2], p[AERO + 3]
+        vx - wind_x, vy - wind_y, p[AERO], p[AERO + 1], p[AERO + 2], p[AERO + 3]
     )
     out[AERO_FX], out[AERO_FY], out[AERO_MZ] = Fx, Fy, Mz
     air = (Fx * cos_psi - Fy * sin_psi, Fx * sin_psi + Fy * cos_psi, 0.0)

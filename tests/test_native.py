@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from lpvmpc import layout, native, tire
-from lpvmpc.aero import aero_wrench
 from lpvmpc.errors import LPVMPCError
 from lpvmpc.model import WHEELS, compile_model, numeric
+from lpvmpc.wind import aero_wrench
 
 PENDULUM = """<mujoco><worldbody><body><joint name="j" axis="0 1 0"/><geom size="0.1" pos="0 0 -1"/>
 </body></worldbody><actuator><general joint="j" dyntype="user" gainprm="0"/></actuator></mujoco>"""
@@ -123,7 +123,7 @@ def test_passive_forces_are_the_jacobian_transpose_of_the_contact_forces(model, 
     psi = math.atan2(d.xmat[chassis][3], d.xmat[chassis][0])
     velocity = jacp @ d.qvel * [1, 1, 0]
     axes = np.array([[math.cos(psi), math.sin(psi), 0], [-math.sin(psi), math.cos(psi), 0]])
-    u, v = axes @ ([3.0, -8.0, 0.0] - velocity)
+    u, v = axes @ (velocity - [3.0, -8.0, 0.0])
     Fx, Fy, Mz = aero_wrench(u, v, *numeric(model, "aero"))
     expected += jacp.T @ (Fx * axes[0] + Fy * axes[1]) + jacr.T @ [0, 0, Mz]
     found = d.qfrc_passive - d.qfrc_spring - d.qfrc_damper
