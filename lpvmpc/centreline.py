@@ -1,4 +1,4 @@
-"""Roads from points: reading track files, and smoothing noisy centre lines.
+"""Roads from points: smoothing noisy centre lines to continuous curvature.
 
 Raw centre lines (from maps, images, GPS) are noisy by decimetres; their curvature, which holds the
 noise divided by the square of the spacing, is useless as it is. They are fitted by the curve that
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from pathlib import Path as FilePath
 
 import numpy as np
 import numpy.typing as npt
@@ -21,112 +20,15 @@ Array = npt.NDArray[np.float64]
 
 SMOOTHING = 25.0
 """Default cut-off wavelength of the smoothing [m]. A circle of 10 m radius shrinks by 4 cm."""
+SHORTEST = 4.0
+"""Shortest cut-off wavelength that is tried [m]."""
+SHIFT = 0.25
+"""A shift of this much is no reason to smooth less [m]."""
 MIN_POINTS = 5
 MIN_LENGTH = 10.0
 """Shorter roads than this [m] are over before the car has settled."""
-COLUMNS = ("x_m", "y_m", "w_tr_right_m", "w_tr_left_m", "vx_mps", "wind_mps")
 WIDTH = 3.5
 """Half width where a file gives none [m]."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Track:
-    """What a track file says, point by point."""
-
-    xy: Array
-    """Points of the centre line [m], shape (k, 2)."""
-    width_right: Array | None = None
-    """Distance to the right road edge [m], shape (k,)."""
-    width_left: Array | None = None
-    """Distance to the left road edge [m], shape (k,)."""
-    vx: Array | None = None
-    """Reference speed [m/s], shape (k,)."""
-    wind: Array | None = None
-    """Wind speed from left to right [m/s], shape (k,)."""
-
-
-def read_csv(file: str | FilePath) -> Track:
-    """Read a track file: `# x_m,y_m,w_tr_right_m,w_tr_left_m[,vx_mps][,wind_mps]`.
-
-    The header names the columns, in any order; without a header the first columns are those of the
-    format, in its order. Widths may be missing.
-
-    Raises:
-        PathError: With one sentence that names the file, the line and what is wrong.
-    """
-    file = FilePath(file)
-    if file.is_dir():
-        raise PathError(f"The track file {file} is a directory.")
-    if not file.exists():
-        raise PathError(f"The track file {file} does not exist.")
-    try:
-        lines = file.read_text(encoding="utf-8-sig").splitlines()
-    except UnicodeDecodeError:
-        raise PathError(f"The track file {file} is not a text file.") from None
-    except OSError as error:
-        raise PathError(f"The track file {file} cannot be read: {error.strerror}.") from None
-    names: list[str] | None = None
-    rows: list[list[float]] = []
-    for number, text in enumerate((line.strip() for line in lines), start=1):
-        words = [word.strip() for word in text.lstrip("#").split(",")]
-        if text.startswith("#") or (not rows and names is None and "x_m" in words):
-            names = words if names is None and "x_m" in words else names
-        elif text:
-            rows.append(_numbers(words, f"Line {number} of {file}"))
-            if len(rows[-1]) != len(rows[0]):
-                raise PathError(
-                    f"Line {number} of {file} has {len(rows[-1])} columns, but the first row of "
-                    f"numbers has {len(rows[0])}."
-                )
-    if not rows:
-        raise PathError(f"The track file {file} holds no points.")
-    width = len(rows[0])
-    if width < 2:
-        raise PathError(f"The track file {file} has one column, but needs x_m and y_m.")
-    if names is None:
-        names = list(COLUMNS[:width])
-    if len(names) != width or "y_m" not in names or len(set(names)) != width:
-        raise PathError(
-            f"The track file {file} has {width} columns of numbers, but its header says "
-            f"{','.join(names)!r}; it must name each column once, x_m and y_m among them."
-        )
-    table = dict(zip(names, np.array(rows).T, strict=True))
-    _check_track(table, file)
-    return Track(
-        xy=np.column_stack([table["x_m"], table["y_m"]]),
-        width_right=table.get("w_tr_right_m"),
-        width_left=table.get("w_tr_left_m"),
-        vx=table.get("vx_mps"),
-        wind=table.get("wind_mps"),
-    )
-
-
-def _numbers(words: list[str], where: str) -> list[float]:
-    """The numbers of one line, all finite."""
-    try:
-        values = [float(word) for word in words]
-    except ValueError as error:
-        bad = str(error).rpartition(": ")[2]
-        raise PathError(f"{where} holds {bad}, which is not a number.") from None
-    if not all(math.isfinite(value) for value in values):
-        raise PathError(f"{where} holds NaN or infinity, but all numbers must be finite.")
-    return values
-
-
-def _check_track(table: dict[str, Array], file: FilePath) -> None:
-    """Refuse widths, speeds and winds that no road has."""
-    for name, low, high in (
-        ("w_tr_right_m", 0.0, 100.0),
-        ("w_tr_left_m", 0.0, 100.0),
-        ("vx_mps", 1.0, 60.0),
-        ("wind_mps", -100.0, 100.0),
-    ):
-        column = table.get(name)
-        if column is not None and not (low <= column.min() and column.max() <= high):
-            raise PathError(
-                f"Column {name} of {file} goes from {column.min():g} to {column.max():g}, but must "
-                f"stay within {low:g} and {high:g}."
-            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,6 +41,8 @@ class Fit:
     """Arc length of the points' feet [m], shape (k,), increasing."""
     keep: int
     """How many of the given points were used: a repeated first point at the end is dropped."""
+    cut_off: float
+    """Cut-off wavelength of the smoothing [m]."""
 
 
 def ends_meet(xy: Array) -> bool:
@@ -162,10 +66,13 @@ def fit(
     where w_i is the spacing of the points and l the cut-off wavelength: a wave of length l is
     halved, one of 2 l kept to 98 %. The parameter u is the arc length, found by fitting again.
 
+    A cut-off that moves a point much further than the points' own noise has cut a corner, not
+    noise; it is then shortened step by step, down to `SHORTEST`.
+
     Args:
         xy: Points [m], shape (k, 2).
         closed: Whether they go round; None: if their ends meet.
-        smoothing: Cut-off wavelength l [m]; 0 passes (almost) through the points.
+        smoothing: Longest cut-off wavelength l [m]; 0 passes (almost) through the points.
         widths: Road widths to the right and left at the points [m], shape (k,).
         grid: Largest spacing of the path's fine grid [m].
 
@@ -175,7 +82,31 @@ def fit(
     """
     if not (math.isfinite(smoothing) and 0.0 <= smoothing <= 200.0):
         raise OptionError("smoothing", smoothing, "a wavelength from 0 to 200 m")
-    xy = np.array(xy, dtype=float)
+    xy, closed = _checked(np.array(xy, dtype=float), closed, grid)
+    noise = _noise(xy)
+    cut_off = min(smoothing, 0.25 * _chain(xy, closed)[1])
+    while True:
+        curve = _fit(xy, closed, cut_off, grid)
+        path = curve.path(WIDTH, WIDTH)
+        feet = np.array(
+            [path.project(x, y, near) for (x, y), near in zip(xy, curve.u, strict=True)]
+        )
+        shift = float(np.abs(feet[:, 1]).max())
+        if shift <= max(SHIFT, 5.0 * noise) or cut_off <= SHORTEST:
+            break
+        cut_off = max(0.8 * cut_off, SHORTEST)
+    right, left = (
+        WIDTH
+        if width is None
+        else np.interp(path.s, feet[:, 0], width[: len(xy)], period=path.length if closed else None)
+        for width in widths
+    )
+    path = curve.path(right, left, shift)
+    return Fit(path=path, s=feet[:, 0], keep=len(xy), cut_off=cut_off)
+
+
+def _checked(xy: Array, closed: bool | None, grid: float) -> tuple[Array, bool]:
+    """The points that make a road, and whether it goes round; see `fit`."""
     if xy.ndim != 2 or xy.shape[1] != 2 or not np.all(np.isfinite(xy)):
         raise PathError("A road needs points of two finite numbers.")
     if len(xy) < MIN_POINTS:
@@ -198,45 +129,79 @@ def fit(
             "A closed road must end where it starts, but its ends are "
             f"{math.hypot(*(xy[0] - xy[-1])):.3g} m apart."
         )
-    closed = meet if closed is None else closed
-    u = np.concatenate([[0.0], np.cumsum(steps)])
-    period = float(u[-1]) + (math.hypot(*(xy[0] - xy[-1])) if closed else 0.0)
-    for _ in range(20):
-        curve = _spline(u, xy, period, closed, smoothing)
-        dense = np.linspace(0.0, period, math.ceil(period / 0.05) + 1)
-        speed = np.hypot(*curve(dense, 1).T)
-        arc = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(dense))])
-        change = abs(arc[-1] - period)
-        if change < 1e-6 * period:
-            break
-        u, period = np.interp(u, dense, arc), float(arc[-1])
-    (dx, dy), (ddx, ddy) = curve(dense, 1).T, curve(dense, 2).T
-    cells = math.ceil(period / grid - 1e-9)
-    kappa = np.interp(np.linspace(0.0, arc[-1], cells + 1), arc, (dx * ddy - dy * ddx) / speed**3)
-    start = curve(0.0)
+    return xy, meet if closed is None else closed
 
-    def path_with(right: npt.ArrayLike, left: npt.ArrayLike, shift: float) -> Path:
+
+def _chain(xy: Array, closed: bool) -> tuple[Array, float]:
+    """Length of the chain of chords at each point [m], shape (k,), and as a whole."""
+    u = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
+    return u, float(u[-1]) + (math.hypot(*(xy[0] - xy[-1])) if closed else 0.0)
+
+
+def _noise(xy: Array) -> float:
+    """Standard deviation of the points across the road [m], from their third differences.
+
+    A smooth road has small ones; independent errors of deviation s give sqrt(20) s. The median
+    passes over the few points of tight bends.
+    """
+    third = np.diff(xy, 3, axis=0)
+    chord = xy[3:] - xy[:-3]
+    length = np.maximum(np.hypot(*chord.T), 1e-9)
+    across = (third[:, 1] * chord[:, 0] - third[:, 0] * chord[:, 1]) / length
+    return float(1.4826 * np.median(np.abs(across)) / math.sqrt(20.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Curve:
+    """A fitted curve: its curvature on the grid, its start, and the arc lengths of the points."""
+
+    kappa: Array
+    length: float
+    start: tuple[float, float, float]
+    closed: bool
+    u: Array
+
+    def path(
+        self, right: npt.ArrayLike = WIDTH, left: npt.ArrayLike = WIDTH, shift: float = 0.0
+    ) -> Path:
+        x0, y0, psi0 = self.start
         return Path(
-            kappa,
-            float(arc[-1]),
-            x0=float(start[0]),
-            y0=float(start[1]),
-            psi0=math.atan2(dy[0], dx[0]),
-            closed=bool(closed),
+            self.kappa,
+            self.length,
+            x0=x0,
+            y0=y0,
+            psi0=psi0,
+            closed=self.closed,
             width=(right, left),
             largest_shift=shift,
         )
 
-    path = path_with(WIDTH, WIDTH, 0.0)
-    feet = np.array([path.project(x, y, near) for (x, y), near in zip(xy, u, strict=True)])
-    right, left = (
-        WIDTH
-        if width is None
-        else np.interp(path.s, feet[:, 0], width[: len(xy)], period=path.length if closed else None)
-        for width in widths
+
+def _fit(xy: Array, closed: bool, cut_off: float, grid: float) -> _Curve:
+    """Fit with one cut-off wavelength [m]; see `fit`."""
+    u, chain = _chain(xy, closed)
+    length = chain
+    for _ in range(20):
+        curve = _spline(u, xy, length, closed, cut_off)
+        dense = np.linspace(0.0, length, math.ceil(length / 0.05) + 1)
+        speed = np.hypot(*curve(dense, 1).T)
+        arc = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(dense))])
+        if not 0.5 * MIN_LENGTH < arc[-1] < 2.0 * chain:
+            raise PathError("The points are a cloud: no smooth road runs along them.")
+        change = abs(arc[-1] - length)
+        u, length = np.interp(u, dense, arc), float(arc[-1])
+        if change < 1e-5 * length:
+            break
+    (dx, dy), (ddx, ddy) = curve(dense, 1).T, curve(dense, 2).T
+    s = np.linspace(0.0, length, math.ceil(length / grid - 1e-9) + 1)
+    x0, y0 = curve(0.0)
+    return _Curve(
+        kappa=np.interp(s, arc, (dx * ddy - dy * ddx) / np.maximum(speed, 1e-3) ** 3),
+        length=length,
+        start=(float(x0), float(y0), math.atan2(dy[0], dx[0])),
+        closed=closed,
+        u=u,
     )
-    path = path_with(right, left, float(np.abs(feet[:, 1]).max()))
-    return Fit(path=path, s=feet[:, 0], keep=len(xy))
 
 
 def _spline(u, xy, period, closed, smoothing):

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from lpvmpc import centreline
+from lpvmpc import centreline, track_file
 from lpvmpc.catalogue import CATALOGUE, Road
 from lpvmpc.errors import OptionError, PathError, UnknownNameError
 from lpvmpc.path import Path
@@ -217,7 +217,7 @@ def _with_ends(path: Path, closed: bool, name: str) -> Path:
 
 def _from_csv(file: FilePath, closed: bool | None) -> Road:
     """A road from a track file: smoothed points, and its speed and wind where it has them."""
-    track = centreline.read_csv(file)
+    track = track_file.read_csv(file)
     try:
         fitted = centreline.fit(
             track.xy, closed=closed, widths=(track.width_right, track.width_left)
@@ -228,7 +228,8 @@ def _from_csv(file: FilePath, closed: bool | None) -> Road:
     period = path.length if path.closed else None
     return Road(
         path=path,
-        source=f"{file}, smoothed; the largest shift of a point is {path.largest_shift:.3f} m.",
+        source=f"{file}, smoothed over {fitted.cut_off:.0f} m, which moved its points by up to "
+        f"{path.largest_shift:.2f} m.",
         vx=None if track.vx is None else (s, track.vx[:keep]),
         wind=Wind()
         if track.wind is None
