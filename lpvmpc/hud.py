@@ -18,7 +18,7 @@ Image = npt.NDArray[np.uint8]
 INK, FAINT = (245, 247, 250), (168, 178, 190)
 ACCENT, WARM = (86, 180, 233), (255, 176, 60)
 BEFORE, AFTER = (150, 160, 172), (255, 176, 60)
-SHADE = 0.36
+SHADE = 0.32
 """Brightness of the picture behind the instruments."""
 
 
@@ -44,9 +44,11 @@ class Hud:
         self.strip_top = height - self._px(96)
         self.cells = self._cells(width)
         self.still = np.zeros((height, width, 3), dtype=np.uint8)
+        title_wide = max(self._wide(title, 22, 700), self._wide(subtitle, 16, 500))
+        self.clock = self._px(30 + 40 + 90) + title_wide  # right end of the time
         self.panels: list[tuple[slice, slice]] = [
             (slice(self.strip_top, height), slice(0, width)),
-            (slice(self._px(16), self._px(92)), slice(self._px(16), self._px(300))),
+            (slice(self._px(16), self._px(92)), slice(self._px(16), self.clock + self._px(16))),
         ]
         self._title(title, subtitle)
         self._labels()
@@ -66,7 +68,7 @@ class Hud:
             cv2.add(patch, self.still[rows, columns], patch)
         k = self._px
         base = self.strip_top
-        self._text(frame, f"{now['t_s']:.1f} s", (k(284), k(50)), 22, INK, 600, right=True)
+        self._text(frame, f"{now['t_s']:.1f} s", (self.clock, k(50)), 22, INK, 600, right=True)
 
         x = self.cells["speed"]
         self._text(frame, _number(now["vx_mps"], 1), (x + k(86), base + k(70)), 40, INK, 600, True)
@@ -121,6 +123,11 @@ class Hud:
         """Write on a baseline that starts, or with `right` ends, at a place."""
         flags = cv2.PUT_TEXT_ALIGN_RIGHT if right else cv2.PUT_TEXT_ALIGN_LEFT
         cv2.putText(image, text, place, colour, self.font, self._px(size), weight, flags)
+
+    def _wide(self, text: str, size: float, weight: int) -> int:
+        """Width of a text [px]."""
+        box = cv2.getTextSize((10000, 100), text, (0, 0), self.font, self._px(size), weight)
+        return int(box[2])
 
     def _title(self, title: str, subtitle: str) -> None:
         k = self._px

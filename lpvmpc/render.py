@@ -37,7 +37,7 @@ ARROW = 0.6e-3
 """Length of a force arrow [m/N]."""
 LADDER = 0.98
 """Half width of the ladder that shows the prediction [m]; just wider than the car."""
-ORANGE, AIR = (0.90, 0.50, 0.05), (0.62, 0.78, 0.88)
+ORANGE, AIR = (0.90, 0.50, 0.05), (0.42, 0.66, 0.84)
 
 
 def render_video(log: Any, path: str | FilePath, *, width: int = 1280, height: int = 720,
@@ -250,7 +250,7 @@ class Stage:
                             (np.eye(3) if frame is None else frame).ravel(),
                             np.asarray(colour, np.float32))
         geom.category = mujoco.mjtCatBit.mjCAT_DECOR
-        geom.emission = 0.45
+        geom.emission = 0.35
         geom.specular = 0.0
         return geom
 

@@ -3,7 +3,6 @@ import signal
 import sys
 
 import av
-import cv2
 import mujoco
 import numpy as np
 import pytest
@@ -318,8 +317,16 @@ def test_the_map_car_stands_on_the_path(hud):
 
 def test_the_text_fits_its_cells(hud):
     """The widest numbers end before the next instrument starts."""
-    width = cv2.getTextSize((1280, 720), "88.8 ref", (0, 0), hud.font, 15, 500)[2]
+    width = hud._wide("88.8 ref", 15, 500)
     assert hud.cells["speed"] + 96 + width < hud.cells["error"] - 14
+
+
+def test_the_clock_stands_clear_of_the_longest_title():
+    road = np.stack(fake_path().at(np.linspace(0, 600, 50))[:2], axis=1)
+    hud = Hud(1280, 720, title="double-lane-change", subtitle="my_module:MyController", road=road,
+              scales={"ey_mm": 5, "steer_deg": 10, "acc_mps2": 8, "wind_mps": 60})
+    title = 30 + hud._wide("double-lane-change", 22, 700)
+    assert title < hud.clock - hud._wide("999.9 s", 22, 600)
 
 
 def test_frames_keep_time_with_the_log(log):
