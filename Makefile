@@ -10,7 +10,6 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet --constraint constraints.txt
-export MUJOCO_GL ?= egl
 
 .DELETE_ON_ERROR:
 .PHONY: track test lint clean egl
@@ -41,7 +40,7 @@ $(VENV)/.dev: pyproject.toml constraints.txt | $(BIN)/python
 
 # Pictures need an OpenGL that works without a display. Only a warning: all else works without it.
 egl: | $(BIN)/python
-	@if [ "$$MUJOCO_GL" = egl ]; then $(BIN)/python -c \
+	@if [ "$${MUJOCO_GL:-egl}" = egl ]; then $(BIN)/python -c \
 	  'import ctypes.util, sys; sys.exit(not ctypes.util.find_library("EGL"))' || \
 	  echo "No EGL here, so no video: install it with: apt-get install libegl1 libgl1-mesa-dri" >&2; fi
 

@@ -92,6 +92,7 @@ class Options:
 def main(options: Options) -> int:
     """Drive, print, save; returns the exit code."""
     check(options)
+    cli.check_opengl()
     from lpvmpc import Plant, load_controller, load_scenario, metrics, simulate
 
     scenario = load_scenario(options.scenario, **scenario_options(options))

@@ -79,7 +79,11 @@ def __getattr__(name: str) -> object:
     """Import a public name from its module at first use."""
     if name not in _HOME:
         raise AttributeError(f"module 'lpvmpc' has no attribute {name!r}")
-    value = getattr(import_module(f"lpvmpc.{_HOME[name]}"), name)
+    try:
+        module = import_module(f"lpvmpc.{_HOME[name]}")
+    except AttributeError as error:  # left as it is, Python would only say "cannot import name"
+        raise ImportError(f"lpvmpc.{_HOME[name]} cannot be imported: {error}") from error
+    value = getattr(module, name)
     globals()[name] = value
     return value
 

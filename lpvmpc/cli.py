@@ -10,6 +10,7 @@ import re
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
+from ctypes.util import find_library
 from pathlib import Path
 from typing import TypeVar
 
@@ -74,6 +75,21 @@ def check_number(name: str, value: float | None, low: float, high: float, unit: 
     """
     if value is not None and not (math.isfinite(value) and low <= value <= high):
         raise OptionError(name, value, f"from {low:g} to {high:g}{unit and ' ' + unit}")
+
+
+def check_opengl() -> None:
+    """Ignore a MUJOCO_GL whose library is not there, and say so, before MuJoCo is imported.
+
+    The import would fail on it with a riddle, also where nothing is to be drawn.
+    """
+    backend = os.environ.get("MUJOCO_GL", "").lower().strip()
+    library = {"egl": "EGL", "osmesa": "OSMesa"}.get(backend)
+    if library and find_library(library) is None:
+        print(
+            f"Warning: MUJOCO_GL is {backend}, but lib{library} is not installed; it is ignored.",
+            file=sys.stderr,
+        )
+        del os.environ["MUJOCO_GL"]
 
 
 def writable_folder(folder: Path) -> Path:

@@ -1,9 +1,6 @@
-import os
 import sys
 from pathlib import Path
 from types import SimpleNamespace
-
-os.environ.setdefault("MUJOCO_GL", "egl")  # before anything imports mujoco
 
 import mujoco
 import numpy as np

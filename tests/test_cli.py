@@ -1,0 +1,96 @@
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from lpvmpc import cli
+from lpvmpc.errors import LPVMPCError, OptionError, OutputError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Count."""
+
+    number: int = 1
+    """How many."""
+    loud: bool = False
+    """Say it."""
+
+
+def test_options_come_from_the_command_line():
+    assert cli.parse(Options, ["--number", "3", "--loud"]) == Options(number=3, loud=True)
+    assert cli.parse(Options, []) == Options()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--number", "x"], "Error parsing --number: invalid literal for int()"),
+        (["--number"], "Missing value for argument '--number'"),
+        (["--nummer", "3"], "Unrecognized options: --nummer, 3"),
+        (["more"], "Unrecognized options: more"),
+    ],
+)
+def test_a_wrong_command_line_is_one_sentence(arguments, sentence):
+    with pytest.raises(LPVMPCError) as caught:
+        cli.parse(Options, arguments)
+    assert sentence in str(caught.value)
+    assert "\n" not in str(caught.value) and "│" not in str(caught.value)
+
+
+def test_help_ends_with_code_zero(capsys):
+    with pytest.raises(SystemExit) as stop:
+        cli.run(Options, lambda options: 1, ["--help"])
+    assert not stop.value.code
+    assert "How many." in capsys.readouterr().out
+
+
+def test_exit_codes_are_those_of_the_contract(capsys):
+    def fail(error):
+        def main(options):
+            raise error
+
+        return cli.run(Options, main, [])
+
+    assert cli.run(Options, lambda options: cli.NOT_COMPLETED, []) == 3
+    assert fail(OptionError("speed", -1, "positive")) == 2
+    assert capsys.readouterr().err == "Error: speed is -1, but must be positive.\n"
+    assert fail(LPVMPCError("two\nlines")) == 2
+    assert capsys.readouterr().err == "Error: two lines\n"
+    assert fail(KeyboardInterrupt()) == 130
+    with pytest.raises(ZeroDivisionError):  # our own mistakes keep their traceback
+        fail(ZeroDivisionError())
+
+
+@pytest.mark.parametrize("value", [-1.0, 2.5, float("nan"), float("inf")])
+def test_numbers_outside_their_range_are_refused(value):
+    with pytest.raises(OptionError, match=r"--share is .*, but must be from 0 to 2 m\."):
+        cli.check_number("--share", value, 0.0, 2.0, "m")
+
+
+def test_numbers_that_were_not_given_pass():
+    cli.check_number("--share", None, 0.0, 1.0)
+    cli.check_number("--share", 1.0, 0.0, 1.0)
+
+
+def test_a_folder_is_made_and_tried(tmp_path):
+    assert cli.writable_folder(tmp_path / "a" / "b").is_dir()
+    assert not list((tmp_path / "a" / "b").iterdir())
+    (tmp_path / "file").touch()
+    for place in (tmp_path / "file", tmp_path / "file" / "below", Path("/proc/absent")):
+        with pytest.raises(OutputError, match="Cannot write into"):
+            cli.writable_folder(place)
+
+
+def test_an_opengl_that_is_not_there_is_ignored_aloud(monkeypatch, capsys):
+    monkeypatch.setattr(cli, "find_library", lambda name: None)
+    monkeypatch.setenv("MUJOCO_GL", "egl")
+    cli.check_opengl()
+    assert "MUJOCO_GL" not in os.environ
+    assert capsys.readouterr().err == (
+        "Warning: MUJOCO_GL is egl, but libEGL is not installed; it is ignored.\n"
+    )
+    monkeypatch.setenv("MUJOCO_GL", "glfw")
+    cli.check_opengl()
+    assert os.environ["MUJOCO_GL"] == "glfw" and capsys.readouterr().err == ""
