@@ -4,10 +4,11 @@ Equations 1-4 and 7-8 of Kebbati et al. in the corrected form of docs/derivation
 are affine in the slip angle on each axle, Fy = C alpha + F0: the paper's linear tire is F0 = 0, and
 a tangent at the operating point has both terms.
 
-Orders: the MPC state is (vx, vy, r, ey, epsi, delta, a, alpha_f, alpha_r): the paper's five states,
-the actual steering angle and drive acceleration, and the slip angles that the tires have built up
-over their relaxation lengths; the input is (delta, ax) as commanded. A lag of zero means that the
-quantity follows at once, and its state is then unused.
+Orders: the MPC state is (vx, vy, r, ey, epsi, delta, a, alpha_f, alpha_r, phi, p): the paper's five states,
+the actual steering angle and drive acceleration, the slip angles that the tires have built up
+over their relaxation lengths, and roll angle and rate; the input is (delta, ax) as commanded. A lag
+of zero means that the quantity follows at once, and its state is then unused; so are the roll
+states without roll stiffness.
 """
 
 from __future__ import annotations
@@ -19,11 +20,11 @@ from numba import njit
 
 from lpvmpc.vehicle import GRAVITY, Array, VehicleParams
 
-NX = 9
-"""Number of model states: vx, vy, r, ey, epsi, delta, a, alpha_f, alpha_r."""
+NX = 11
+"""Number of model states: vx, vy, r, ey, epsi, delta, a, alpha_f, alpha_r, phi, p."""
 NU = 2
 """Number of inputs: delta, ax."""
-VX, VY, R, EY, EPSI, DELTA, A, AF, AR = range(NX)
+VX, VY, R, EY, EPSI, DELTA, A, AF, AR, PHI, P = range(NX)
 EXACT, EULER = 0, 1
 CORRECTED, PRINTED = 0, 1
 
@@ -39,6 +40,10 @@ class Bicycle(NamedTuple):
     """Centre of mass to front axle [m]."""
     lr: float
     """Centre of mass to rear axle [m]."""
+    lever_f: float
+    """Lever of the front lateral force, lf - trail [m]."""
+    lever_r: float
+    """Lever of the rear lateral force, lr + trail [m]."""
     c_roll: float
     """Rolling resistance coefficient [-]."""
     k_drag: float
@@ -51,6 +56,14 @@ class Bicycle(NamedTuple):
     """Relaxation length of the front tires [m]; with 0 the force follows the slip at once."""
     sigma_r: float
     """Relaxation length of the rear tires [m]; 0 as above."""
+    h: float
+    """Height of the centre of mass [m]."""
+    Ixx: float
+    """Roll inertia about the centre of mass [kg m2]."""
+    K_phi: float
+    """Roll stiffness [N m/rad]; with 0 the body does not roll."""
+    C_phi: float
+    """Roll damping [N m s/rad]."""
     vx_min: float
     """Speed below which the model is evaluated at vx_min [m/s]."""
 
@@ -62,14 +75,40 @@ class Bicycle(NamedTuple):
             car.Iz,
             car.lf,
             car.lr,
+            car.lf - car.trail_f,
+            car.lr + car.trail_r,
             car.c_roll,
             0.5 * car.rho_air * car.CdA,
             car.tau_delta,
             car.tau_ax,
             car.sigma_f,
             car.sigma_r,
+            car.h,
+            car.Ixx,
+            car.K_phi,
+            car.C_phi,
             car.vx_min,
         )
+
+    def simplified(
+        self,
+        *,
+        lags: bool = True,
+        relaxation: bool = True,
+        roll: bool = True,
+        trail: bool = True,
+    ) -> Bicycle:
+        """The same car with parts of the model left out (the paper's has none of them)."""
+        changes: dict[str, float] = {}
+        if not lags:
+            changes |= {"tau_delta": 0.0, "tau_ax": 0.0}
+        if not relaxation:
+            changes |= {"sigma_f": 0.0, "sigma_r": 0.0}
+        if not roll:
+            changes |= {"K_phi": 0.0}
+        if not trail:
+            changes |= {"lever_f": self.lf, "lever_r": self.lr}
+        return self._replace(**changes)
 
 
 def slip_angles(vx, vy, r, delta, car):
@@ -98,25 +137,28 @@ def slip_angles(vx, vy, r, delta, car):
 
 @njit(cache=True)
 def derivative(x, u, kappa, tires, car):
-    """Time derivative of the nonlinear single-track model with servo lags and relaxation.
+    """Time derivative of the nonlinear single-track model with servo lags, relaxation and roll.
 
     vx' = a + r vy - (Fyf sin(delta) + Fd) / m,   Fd = c_roll m g + k_drag vx^2
     vy' = (Fyf cos(delta) + Fyr) / m - r vx
-    r'  = (lf Fyf cos(delta) - lr Fyr) / Iz
+    r'  = (lever_f Fyf cos(delta) - lever_r Fyr) / Iz
     ey' = vx sin(epsi) + vy cos(epsi)
     epsi' = r - kappa (vx cos(epsi) - vy sin(epsi)) / (1 - ey kappa)
     delta' = (delta_cmd - delta) / tau_delta,   a' = (ax_cmd - a) / tau_ax
     alpha' = (vx / sigma) (slip angle - alpha) on each axle,   Fy = C alpha + F0
+    p' = (h (Fyf cos(delta) + Fyr) - C_phi p - K_phi phi) / Ixx,   phi' = p
+
+    The body rolls about the road, so that the contact patches move with vy + h p.
 
     Args:
-        x: State (vx, vy, r, ey, epsi, delta, a, alpha_f, alpha_r), shape (9,).
+        x: State (vx, vy, r, ey, epsi, delta, a, alpha_f, alpha_r, phi, p), shape (11,).
         u: Command (delta [rad], ax [m/s2]), shape (2,).
         kappa: Path curvature [1/m].
         tires: Affine axle forces (Cf [N/rad], F0f [N], Cr, F0r), shape (4,).
         car: `Bicycle` constants.
 
     Returns:
-        Derivative of the state, shape (9,); zero for states without lag.
+        Derivative of the state, shape (11,); zero for states without lag.
 
     Source: Kebbati et al., eqs. 1-4, corrected as in docs/derivations.md; relaxation as in
     Pacejka, Tire and Vehicle Dynamics, section 7.2.
@@ -131,8 +173,9 @@ def derivative(x, u, kappa, tires, car):
     if car.tau_ax > 0.0:
         a = x[A]
         dx[A] = (u[1] - a) / car.tau_ax
-    alpha_f = delta - np.arctan2(vy + car.lf * r, vx)
-    alpha_r = -np.arctan2(vy - car.lr * r, vx)
+    sway = car.h * x[P] if car.K_phi > 0.0 else 0.0
+    alpha_f = delta - np.arctan2(vy + sway + car.lf * r, vx)
+    alpha_r = -np.arctan2(vy + sway - car.lr * r, vx)
     if car.sigma_f > 0.0:
         dx[AF] = vx / car.sigma_f * (alpha_f - x[AF])
         dx[AR] = vx / car.sigma_r * (alpha_r - x[AR])
@@ -142,7 +185,11 @@ def derivative(x, u, kappa, tires, car):
     drag = car.c_roll * car.m * GRAVITY + car.k_drag * vx * vx
     dx[VX] = a + r * vy - (Fyf * np.sin(delta) + drag) / car.m
     dx[VY] = (Fyf * np.cos(delta) + Fyr) / car.m - r * vx
-    dx[R] = (car.lf * Fyf * np.cos(delta) - car.lr * Fyr) / car.Iz
+    dx[R] = (car.lever_f * Fyf * np.cos(delta) - car.lever_r * Fyr) / car.Iz
+    if car.K_phi > 0.0:
+        moment = car.h * (Fyf * np.cos(delta) + Fyr)
+        dx[P] = (moment - car.C_phi * x[P] - car.K_phi * x[PHI]) / car.Ixx
+        dx[PHI] = x[P]
     dx[EY] = vx * np.sin(epsi) + vy * np.cos(epsi)
     dx[EPSI] = r - kappa * (vx * np.cos(epsi) - vy * np.sin(epsi)) / (1.0 - ey * kappa)
     return dx
@@ -173,15 +220,16 @@ def lpv(x, kappa, tires, car, form, A_out, B_out, c_out):
     point, but the predicted ey then reacts to the predicted epsi.
 
     Args:
-        x: Scheduling state (vx, vy, r, ey, epsi, delta, a, alpha_f, alpha_r), shape (9,).
+        x: Scheduling state (vx, vy, r, ey, epsi, delta, a, alpha_f, alpha_r, phi, p),
+            shape (11,).
         kappa: Path curvature [1/m].
         tires: Affine axle forces (Cf, F0f, Cr, F0r) [N/rad, N], shape (4,).
         car: `Bicycle` constants.
         form: CORRECTED, or PRINTED for the error row as printed (A41 = sin, A45 = 0), which an
             ablation shows.
-        A_out: Receives A, shape (9, 9).
-        B_out: Receives B, shape (9, 2).
-        c_out: Receives c, shape (9,).
+        A_out: Receives A, shape (11, 11).
+        B_out: Receives B, shape (11, 2).
+        c_out: Receives c, shape (11,).
 
     Source: Kebbati et al., eqs. 7-8; corrections in docs/derivations.md, D1 and D2.
     """
@@ -189,8 +237,10 @@ def lpv(x, kappa, tires, car, form, A_out, B_out, c_out):
     vy, r, ey, epsi, delta = x[VY], x[R], x[EY], x[EPSI], x[DELTA]
     Cf, F0f, Cr, F0r = tires[0], tires[1], tires[2], tires[3]
     sin_d, cos_d = np.sin(delta), np.cos(delta)
-    flow_f = _atanc((vy + car.lf * r) / vx) / vx  # flow angle per lateral speed of the axle
-    flow_r = _atanc((vy - car.lr * r) / vx) / vx
+    rolls = car.K_phi > 0.0
+    sway = car.h * x[P] if rolls else 0.0
+    flow_f = _atanc((vy + sway + car.lf * r) / vx) / vx  # flow angle per lateral speed of the axle
+    flow_r = _atanc((vy + sway - car.lr * r) / vx) / vx
 
     A_out[:, :] = 0.0
     B_out[:, :] = 0.0
@@ -208,32 +258,41 @@ def lpv(x, kappa, tires, car, form, A_out, B_out, c_out):
     A_out[EPSI, VY] = kappa * np.sin(epsi) / narrowing
     A_out[EPSI, R] = 1.0
 
-    # forces per slip angle, and where the slip angles come from
-    front = (-Cf * sin_d / car.m, Cf * cos_d / car.m, car.lf * Cf * cos_d / car.Iz)
-    rear = (0.0, Cr / car.m, -car.lr * Cr / car.Iz)
-    for i in range(3):
+    # accelerations of (vx, vy, r, p) per slip angle, and where the slip angles come from
+    roll = car.h / car.Ixx if rolls else 0.0
+    front = (-sin_d / car.m, cos_d / car.m, car.lever_f * cos_d / car.Iz, roll * cos_d)
+    rear = (0.0, 1.0 / car.m, -car.lever_r / car.Iz, roll)
+    rows = (VX, VY, R, P)
+    for n in range(4):
+        i, f, q = rows[n], front[n], rear[n]
+        c_out[i] = f * F0f + q * F0r
         if car.sigma_f > 0.0:
-            A_out[i, AF] = front[i]
-            A_out[i, AR] = rear[i]
+            A_out[i, AF] = f * Cf
+            A_out[i, AR] = q * Cr
+            continue
+        A_out[i, VY] -= f * Cf * flow_f + q * Cr * flow_r
+        A_out[i, R] -= car.lf * f * Cf * flow_f - car.lr * q * Cr * flow_r
+        if rolls:
+            A_out[i, P] -= car.h * (f * Cf * flow_f + q * Cr * flow_r)
+        if car.tau_delta > 0.0:
+            A_out[i, DELTA] = f * Cf
         else:
-            A_out[i, VY] -= front[i] * flow_f + rear[i] * flow_r
-            A_out[i, R] -= car.lf * front[i] * flow_f - car.lr * rear[i] * flow_r
-            if car.tau_delta > 0.0:
-                A_out[i, DELTA] = front[i]
-            else:
-                B_out[i, 0] = front[i]
+            B_out[i, 0] = f * Cf
     if car.sigma_f > 0.0:
         rate_f, rate_r = vx / car.sigma_f, vx / car.sigma_r
         A_out[AF, VY], A_out[AF, R] = -rate_f * flow_f, -rate_f * flow_f * car.lf
         A_out[AR, VY], A_out[AR, R] = -rate_r * flow_r, rate_r * flow_r * car.lr
+        if rolls:
+            A_out[AF, P], A_out[AR, P] = -rate_f * flow_f * car.h, -rate_r * flow_r * car.h
         A_out[AF, AF], A_out[AR, AR] = -rate_f, -rate_r
         if car.tau_delta > 0.0:
             A_out[AF, DELTA] = rate_f
         else:
             B_out[AF, 0] = rate_f
-    c_out[VX] = -F0f * sin_d / car.m
-    c_out[VY] = (F0f * cos_d + F0r) / car.m
-    c_out[R] = (car.lf * F0f * cos_d - car.lr * F0r) / car.Iz
+    if rolls:
+        A_out[P, P] -= car.C_phi / car.Ixx
+        A_out[P, PHI] = -car.K_phi / car.Ixx
+        A_out[PHI, P] = 1.0
 
     if car.tau_delta > 0.0:
         A_out[DELTA, DELTA] = -1.0 / car.tau_delta
@@ -356,7 +415,7 @@ def steady_state(vx, kappa, tires, disturbance, car, x_out):
         tires: Affine axle forces (Cf, F0f, Cr, F0r) [N/rad, N], shape (4,).
         disturbance: Unmodelled accelerations of (vx, vy, r) [m/s2, m/s2, rad/s2], shape (3,).
         car: `Bicycle` constants.
-        x_out: Receives (vx, vy, r, ey, epsi, delta, a, alpha_f, alpha_r), shape (9,).
+        x_out: Receives (vx, vy, r, ey, epsi, delta, a, alpha_f, alpha_r, phi, p), shape (11,).
 
     Source: Rajamani, section 3.2, with an added disturbance; docs/derivations.md.
     """
@@ -368,7 +427,7 @@ def steady_state(vx, kappa, tires, disturbance, car, x_out):
         r = kappa * np.sqrt(vx * vx + vy * vy)
         Fy = car.m * (r * vx - disturbance[1])  # cos(delta) Fyf + Fyr
         Mz = -car.Iz * disturbance[2]
-        Fyf_cos = (car.lr * Fy + Mz) / (car.lf + car.lr)
+        Fyf_cos = (car.lever_r * Fy + Mz) / (car.lever_f + car.lever_r)
         Fyr = Fy - Fyf_cos
         alpha_r = (Fyr - F0r) / Cr
         vy = car.lr * r - vx * np.tan(alpha_r)
@@ -385,6 +444,8 @@ def steady_state(vx, kappa, tires, disturbance, car, x_out):
     x_out[A] = (Fyf * np.sin(delta) + drag) / car.m - r * vy - disturbance[0]
     x_out[AF] = alpha_f
     x_out[AR] = alpha_r
+    x_out[PHI] = car.h * (Fyf_cos + Fyr) / car.K_phi if car.K_phi > 0.0 else 0.0
+    x_out[P] = 0.0
 
 
 def discretise(A: Array, B: Array, c: Array, Ts: float) -> tuple[Array, Array, Array]:

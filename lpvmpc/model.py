@@ -142,6 +142,12 @@ def parameters(model: mujoco.MjModel) -> VehicleParams:
     tire_f, tire_r = numeric(model, "tire_f"), numeric(model, "tire_r")
     Fz_f = m * GRAVITY * lr / (2.0 * (lf + lr))
     Fz_r = m * GRAVITY * lf / (2.0 * (lf + lr))
+    Ixx = float(inertia[3, 3] - m * (offset[1] ** 2 + offset[2] ** 2))
+    for w in WHEELS:  # the wheels stay on the road while the body rolls
+        unsprung = float(model.body_mass[model.body(f"wheel_{w}").id])
+        Ixx -= unsprung * float(centre[w][1] - com[1]) ** 2
+    K_phi, C_phi = _roll(model, centre, tire_f[tire.KZ], tire_r[tire.KZ])
+    K_phi -= m * GRAVITY * float(com[2])
     values = dict(
         m=m,
         Iz=Iz,
@@ -157,6 +163,9 @@ def parameters(model: mujoco.MjModel) -> VehicleParams:
         mu=tire_f[tire.PDY1],
         Cf=2.0 * tire.cornering_stiffness(tire_f, Fz_f),
         Cr=2.0 * tire.cornering_stiffness(tire_r, Fz_r),
+        Ixx=Ixx,
+        K_phi=K_phi,
+        C_phi=C_phi,
         trail_f=tire.pneumatic_trail(tire_f, 0.0, Fz_f),
         trail_r=tire.pneumatic_trail(tire_r, 0.0, Fz_r),
         sigma_f=tire.relaxation_lengths(tire_f, Fz_f)[1],
@@ -178,3 +187,25 @@ def parameters(model: mujoco.MjModel) -> VehicleParams:
         vx_min=VX_MIN,
     )
     return VehicleParams(**{name: float(value) for name, value in values.items()})
+
+
+def _roll(
+    model: mujoco.MjModel, centre: dict[str, Array], KZ_f: float, KZ_r: float
+) -> tuple[float, float]:
+    """Roll stiffness [N m/rad] and damping [N m s/rad] of springs, bars and tires in series.
+
+    Per wheel in roll, a spring K = k + 2 k_bar in series with the tire's KZ; the damper works on
+    the share KZ / (K + KZ) of the travel, twice.
+    """
+    stiffness = damping = 0.0
+    for axle, KZ in (("f", KZ_f), ("r", KZ_r)):
+        joint = model.joint(f"susp_{axle}l")
+        spring = float(np.ravel(model.jnt_stiffness[joint.id])[0])
+        spring += 2.0 * float(
+            np.ravel(model.tendon_stiffness[model.tendon(f"antiroll_{axle}").id])[0]
+        )
+        share = KZ / (spring + KZ)
+        half_track = 0.5 * float(centre[f"{axle}l"][1] - centre[f"{axle}r"][1])
+        stiffness += 2.0 * half_track**2 * spring * share
+        damping += 2.0 * half_track**2 * float(model.dof_damping[joint.dofadr[0]]) * share**2
+    return stiffness, damping

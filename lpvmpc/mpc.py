@@ -27,6 +27,7 @@ from lpvmpc.bicycle import (
     EY,
     NU,
     NX,
+    PHI,
     PRINTED,
     VX,
     VY,
@@ -43,6 +44,7 @@ from lpvmpc.errors import OptionError
 from lpvmpc.path import Preview
 from lpvmpc.qp import QPResult, QPSolver, condense, n_rows
 from lpvmpc.stiffness import ConstantStiffness, StiffnessModel
+from lpvmpc.terminal import SPEEDS, cost_to_go
 from lpvmpc.vehicle import Array, Command, State, VehicleParams
 
 DELTA_STEP_PAPER = np.pi / 12
@@ -83,12 +85,12 @@ class Weights:
     """Weight of the lateral error."""
     q_epsi: float = 80.0
     """Weight of the heading error."""
-    r_delta: float = 0.18
+    r_delta: float = 0.05
     """Weight of the steering rate."""
     r_ax: float = 0.04
     """Weight of the jerk."""
     terminal: float = 1.0
-    """Factor on the state weights at the end of the horizon."""
+    """Factor on the cost-to-go at the end of the horizon, 0 to 1."""
     observer_gain: float = 0.3
     """Gain of the disturbance observer, 0 to 1."""
     slip_cap: float = 0.14
@@ -124,6 +126,10 @@ class Formulation:
     """Servo lags as model states."""
     relaxation: bool = True
     """Relaxation of the tires as model states."""
+    roll: bool = True
+    """Roll of the body as model states."""
+    trail: bool = True
+    """Pneumatic trail of the tires."""
     observer: bool = True
     """Disturbance observer."""
     slip_cap: bool = True
@@ -153,12 +159,16 @@ PAPER = Formulation(
     reference="plain",
     lags=False,
     relaxation=False,
+    roll=False,
+    trail=False,
     observer=False,
     slip_cap=False,
 )
 """The paper's plain formulation on the corrected matrices."""
 
 
+PAPER_WEIGHTS = Weights(q_epsi=800.0, r_delta=0.18, terminal=0.0)
+"""Weights for `PAPER`, which loses the MuJoCo car with the weights of the full controller."""
 NOT_FINITE = QPResult(np.empty(0), False, "NOT_FINITE", np.nan, 0.0, 0.0)
 """Outcome of a period whose measurement is not a number."""
 
@@ -226,6 +236,22 @@ def _references(vx_ref, kappa, tires, disturbance, car, steady, x_ref):
         if steady:
             steady_state(vx_ref[k + 1], kappa[k + 1], tires[k], disturbance, car, x_ref[k])
         x_ref[k, VX] = vx_ref[k + 1]
+
+
+@njit(cache=True)
+def _terminal(table, vx, x_ref, weight, z_ref):
+    """Terminal weight at a speed, and the steady state that it pulls towards, in place."""
+    n = len(SPEEDS)
+    k = 0
+    while k < n - 2 and SPEEDS[k + 1] < vx:
+        k += 1
+    share = min(max((vx - SPEEDS[k]) / (SPEEDS[k + 1] - SPEEDS[k]), 0.0), 1.0)
+    for i in range(NX + NU):
+        for j in range(NX + NU):
+            weight[i, j] = (1.0 - share) * table[k, i, j] + share * table[k + 1, i, j]
+    for i in range(NX):
+        z_ref[i] = x_ref[i]
+    z_ref[NX], z_ref[NX + 1] = x_ref[DELTA], x_ref[A]
 
 
 @njit(cache=True)
@@ -326,11 +352,9 @@ class LPVMPC:
         self.formulation = formulation if formulation is not None else Formulation()
         self.delay = delay
         self.Np, self.Ts = self.formulation.Np, self.formulation.Ts
-        self.bicycle = Bicycle.of(self.car)
-        if not self.formulation.lags:
-            self.bicycle = self.bicycle._replace(tau_delta=0.0, tau_ax=0.0)
-        if not self.formulation.relaxation:
-            self.bicycle = self.bicycle._replace(sigma_f=0.0, sigma_r=0.0)
+        parts = ("lags", "relaxation", "roll", "trail")
+        chosen = {name: getattr(self.formulation, name) for name in parts}
+        self.bicycle = Bicycle.of(self.car).simplified(**chosen)
         self._allocate()
         self.reset(np.random.default_rng(0))
 
@@ -366,7 +390,7 @@ class LPVMPC:
                 "preview length", len(preview.kappa), f"at least {self.preview_steps + 1} points"
             )
         x = np.zeros(NX)
-        x[: A] = state.vx, state.vy, state.r, preview.ey, preview.epsi, state.delta
+        x[:A] = state.vx, state.vy, state.r, preview.ey, preview.epsi, state.delta
         if np.isfinite(x).all() and np.isfinite(state.ax + state.ay):
             x0 = self._estimate(x, state, preview)
             self._build(x0, state, preview)
@@ -421,6 +445,8 @@ class LPVMPC:
         schedule[:] = x
         schedule[:, VX] = np.maximum(preview.vx_ref[: self.Np + 1], car.vx_min)
         self.stiffness.horizon(state, schedule, tires)
+        if car.K_phi > 0.0:
+            x[PHI] = car.m * car.h * state.ay / car.K_phi
         dx = derivative(x, x[[DELTA, A]], preview.kappa[0], tires[0], car)
         # vx' is what the model lacks of a (still 0) and of the measured ax = vx' - r vy
         x[A] = state.ax + state.r * state.vy - dx[VX]
@@ -445,9 +471,7 @@ class LPVMPC:
         self._inner[:] = predicted[A:]
         x[A:] = self._inner
         if form.observer:
-            observer.update(
-                self.disturbance, predicted, x, self._gain, observer.LIMIT, self.Ts
-            )
+            observer.update(self.disturbance, predicted, x, self._gain, observer.LIMIT, self.Ts)
 
     def _over_delay(self, x: Array, kappa: Array) -> Array:
         """State at which the command computed now takes effect."""
@@ -481,10 +505,11 @@ class LPVMPC:
             w.slip_cap if form.slip_cap else np.pi, self.bicycle, car.ax_min, car.F_drive_max,
             car.P_drive_max, car.m_eff, self._u_lo, self._u_hi,
         )  # fmt: skip
+        _terminal(self._table, vx_ref[self.Np], self._x_ref[-1], self._terminal, self._z_ref)
         condense(
             self._Ad, self._Bd, self._cd, x0, self._x_ref, self._q, self._r, self._queue[-1],
-            self._u_lo, self._u_hi, self._du_max, EY, EY_MAX, SLACK_WEIGHTS, SCALE, self._H,
-            self._g, self._C, self._lo, self._hi, self._free, self._forced,
+            self._u_lo, self._u_hi, self._du_max, EY, EY_MAX, SLACK_WEIGHTS, SCALE,
+            self._terminal, self._z_ref, self._H, self._g, self._C, self._lo, self._hi, self._free, self._forced,
         )  # fmt: skip
 
     def _fall_back(self) -> str:
@@ -522,7 +547,7 @@ class LPVMPC:
         self._u_lo, self._u_hi = np.zeros((N, NU)), np.zeros((N, NU))
         self._queue = np.zeros((self.delay + 1, NU))
         self._x_last, self._predicted = np.zeros(NX), np.zeros(NX)
-        self._inner = np.zeros(NX - A)  # states that are not measured: a, alpha_f, alpha_r
+        self._inner = np.zeros(NX - A)  # not measured: a, slip, roll
         self._kappa_last = 0.0
         self._form = CORRECTED if form.matrices == "corrected" else PRINTED
         self._method = EXACT if form.hold == "exact" else EULER
@@ -530,10 +555,14 @@ class LPVMPC:
         self._q = np.zeros((N, NX))
         for i, name in enumerate(("vx", "vy", "r", "ey", "epsi")):
             self._q[:, i] = getattr(w, f"q_{name}") / UNITS[name] ** 2 * self.Ts
-        self._q[-1] *= w.terminal
         self._r = np.array(
             [w.r_delta / UNITS["delta"] ** 2 / self.Ts, w.r_ax / UNITS["ax"] ** 2 / self.Ts]
         )
+        self._table = np.zeros((len(SPEEDS), NX + NU, NX + NU))
+        if w.terminal > 0.0 and form.reference == "steady":
+            tires = np.array([car.Cf, 0.0, car.Cr, 0.0])
+            self._table = w.terminal * cost_to_go(self.bicycle, tires, self._q[0], self._r, form.Ts)
+        self._terminal, self._z_ref = np.zeros((NX + NU, NX + NU)), np.zeros(NX + NU)
         step = min(DELTA_STEP_PAPER, car.delta_rate_max * self.Ts)
         self._du_max = np.array([step, 2.0 * abs(car.ax_min)])
         self._delta_max = min(DELTA_MAX_PAPER, car.delta_max)

@@ -23,8 +23,8 @@ def update(disturbance, predicted, measured, gain, limit, Ts):
 
     Args:
         disturbance: Estimate (3,) [m/s2, m/s2, rad/s2], changed in place.
-        predicted: What the model expected for now, shape (9,).
-        measured: What was measured, shape (9,).
+        predicted: What the model expected for now, shape (11,).
+        measured: What was measured, shape (11,).
         gain: Observer gain in (0, 1], per component, shape (3,).
         limit: Largest believable disturbance per component, shape (3,).
         Ts: Control period [s].

@@ -27,12 +27,12 @@ def n_rows(N: int, nu: int) -> int:
 @njit(cache=True)
 def condense(
     Ad, Bd, cd, x0, x_ref, q, r_du, u_prev, u_lo, u_hi, du_max, soft, soft_bound, slack_weights,
-    scale, H, g, C, lo, hi, free, forced,
+    scale, terminal, z_ref, H, g, C, lo, hi, free, forced,
 ):  # fmt: skip
     """Write the QP  min 0.5 z'Hz + g'z  s.t.  lo <= Cz <= hi  of one control period, in place.
 
     sum_{k=1..N} |x_k - x_ref_k|^2_q + sum_{k=0..N-1} |u_k - u_{k-1}|^2_r
-        + slack_weights[0] slack + slack_weights[1] slack^2
+        + |(x_N, u_{N-1}) - z_ref|^2_terminal + slack_weights[0] slack + slack_weights[1] slack^2
 
     Rows in order: inputs (N nu), increments (N nu), upper soft bound (N), lower soft bound (N),
     slack >= 0 (1).
@@ -53,6 +53,8 @@ def condense(
         soft_bound: Its bound: |x[soft]| <= soft_bound + slack.
         slack_weights: Linear and quadratic penalty of the slack, shape (2,).
         scale: Unit of each input in z, shape (nu,).
+        terminal: Terminal weight, shape (nx + nu, nx + nu), symmetric.
+        z_ref: Its reference, shape (nx + nu,).
         H: Receives the Hessian, shape (n, n) with n = N nu + 1.
         g: Receives the gradient, shape (n,).
         C: Receives the constraint matrix, shape (n_rows, n).
@@ -95,6 +97,32 @@ def condense(
                 g[a] += 2.0 * fa * error
                 for b in range(a + 1):
                     H[a, b] += 2.0 * fa * forced[k, i, b]
+    nz = nx + nu
+    error_N = np.empty(nz)
+    last = np.zeros((nz, N * nu))
+    for i in range(nx):
+        error_N[i] = free[N - 1, i] - z_ref[i]
+        for a in range(N * nu):
+            last[i, a] = forced[N - 1, i, a]
+    for m in range(nu):
+        error_N[nx + m] = -z_ref[nx + m]
+        last[nx + m, (N - 1) * nu + m] = scale[m]
+    weighted = np.zeros(N * nu)
+    for i in range(nz):
+        weighted[:] = 0.0
+        pull = 0.0
+        for j in range(nz):
+            w = 2.0 * terminal[i, j]
+            if w != 0.0:
+                pull += w * error_N[j]
+                for a in range(N * nu):
+                    weighted[a] += w * last[j, a]
+        for a in range(N * nu):
+            v = last[i, a]
+            if v != 0.0:
+                g[a] += v * pull
+                for b in range(a + 1):
+                    H[a, b] += v * weighted[b]
     for k in range(N):
         for m in range(nu):
             a = k * nu + m
@@ -309,7 +337,7 @@ class QPSolver:
         guess = proxsuite.proxqp.InitialGuess.EQUALITY_CONSTRAINED_INITIAL_GUESS
         settings.initial_guess = guess
         # ProxQP's own accuracy is set well below ours: its norms are scaled, ours are not
-        settings.eps_abs = 1e-2 * self.tolerance
+        settings.eps_abs = 0.1 * self.tolerance
         settings.eps_rel = 0.0
         settings.check_duality_gap = True
         settings.eps_duality_gap_abs = self.tolerance

@@ -111,6 +111,12 @@ class VehicleParams:
     """Front axle cornering stiffness at static load [N/rad], from the tire coefficients."""
     Cr: float
     """Rear axle cornering stiffness at static load [N/rad], from the tire coefficients."""
+    Ixx: float
+    """Roll inertia about the centre of mass, without the wheels, which stay down [kg m2]."""
+    K_phi: float
+    """Roll stiffness: springs, anti-roll bars and tires in series, less gravity [N m/rad]."""
+    C_phi: float
+    """Roll damping of the dampers, as seen through the tires [N m s/rad]."""
     trail_f: float
     """Pneumatic trail of the front tires at small slip [m]."""
     trail_r: float

@@ -6,7 +6,23 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from lpvmpc import bicycle
-from lpvmpc.bicycle import CORRECTED, AF, AR, DELTA, EPSI, EULER, EXACT, EY, NU, NX, PRINTED, VX, VY, A, R
+from lpvmpc.bicycle import (
+    CORRECTED,
+    AF,
+    AR,
+    DELTA,
+    EPSI,
+    EULER,
+    EXACT,
+    EY,
+    NU,
+    NX,
+    PRINTED,
+    VX,
+    VY,
+    A,
+    R,
+)
 from lpvmpc.vehicle import VehicleParams
 
 
@@ -23,15 +39,15 @@ def car(params):
 def random_points(n=20):
     """States in and beyond normal driving, curvatures, affine tires."""
     rng = np.random.default_rng(1)
-    low = np.array([3.0, -1.0, -0.8, -0.4, -0.3, -0.4, -4.0, -0.1, -0.1])
-    high = np.array([30.0, 1.0, 0.8, 0.4, 0.3, 0.4, 3.0, 0.1, 0.1])
+    low = np.array([3.0, -1.0, -0.8, -0.4, -0.3, -0.4, -4.0, -0.1, -0.1, -0.1, -0.3])
+    high = np.array([30.0, 1.0, 0.8, 0.4, 0.3, 0.4, 3.0, 0.1, 0.1, 0.1, 0.3])
     for _ in range(n):
         tires = np.array([1.2e5, 800.0, 2.0e5, -500.0]) * rng.uniform(0.3, 1.2, 4)
         yield rng.uniform(low, high), rng.uniform(-0.1, 0.1), tires
 
 
 def without_lags(car):
-    return car._replace(tau_delta=0.0, tau_ax=0.0, sigma_f=0.0, sigma_r=0.0)
+    return car.simplified(lags=False, relaxation=False, roll=False)
 
 
 def matrices(x, kappa, tires, car, *, form=CORRECTED):
@@ -48,11 +64,9 @@ def test_slip_angles_are_positive_for_steering_left(car):
 
 @pytest.mark.parametrize("servos", [True, False])
 @pytest.mark.parametrize("relaxation", [True, False])
-def test_lpv_form_equals_the_nonlinear_model_at_the_scheduling_point(car, servos, relaxation):
-    if not servos:
-        car = car._replace(tau_delta=0.0, tau_ax=0.0)
-    if not relaxation:
-        car = car._replace(sigma_f=0.0, sigma_r=0.0)
+@pytest.mark.parametrize("roll", [True, False])
+def test_lpv_form_equals_the_nonlinear_model_at_the_scheduling_point(car, servos, relaxation, roll):
+    car = car.simplified(lags=servos, relaxation=relaxation, roll=roll)
     for x, kappa, tires in random_points():
         A, B, c = matrices(x, kappa, tires, car)
         u = np.array([0.1, 1.0]) if servos else x[[DELTA, bicycle.A]]
@@ -72,7 +86,7 @@ def test_printed_error_row_has_the_same_value_but_not_the_sensitivity(car):
 
 def test_error_rows_are_the_jacobian_of_the_nonlinear_model(car):
     """On the path, the rows of ey and epsi agree with finite differences."""
-    x = np.array([15.0, 0.2, 0.15, 0.0, 0.0, 0.02, 0.0, 0.0, 0.0])
+    x = np.array([15.0, 0.2, 0.15, 0.0, 0.0, 0.02, 0.0, 0.0, 0.0, 0.0, 0.0])
     tires, kappa, h = np.array([1.2e5, 0.0, 2.0e5, 0.0]), 0.01, 1e-6
     A, _, _ = matrices(x, kappa, tires, car)
     for j in (VX, VY, R, EPSI):
@@ -92,7 +106,7 @@ def test_steering_left_turns_left(car):
     _, B, _ = matrices(x, 0.0, tires, without_lags(car))
     assert B[VY, 0] > 0.0
     assert B[R, 0] > 0.0
-    A, _, _ = matrices(x, 0.0, tires, car._replace(sigma_f=0.0, sigma_r=0.0))
+    A, _, _ = matrices(x, 0.0, tires, car.simplified(relaxation=False))
     assert A[R, DELTA] == B[R, 0]
     A, _, _ = matrices(x, 0.0, tires, car)
     assert A[R, AF] == B[R, 0]
@@ -130,7 +144,7 @@ def test_exact_hold_is_stable_at_walking_speed_where_euler_is_not(car):
 
 
 def test_hold_predicts_the_nonlinear_model_over_one_period(car):
-    x = np.array([15.0, 0.1, 0.2, 0.05, 0.01, 0.04, 0.5, 0.02, 0.01])
+    x = np.array([15.0, 0.1, 0.2, 0.05, 0.01, 0.04, 0.5, 0.02, 0.01, 0.02, 0.1])
     tires, u, kappa, Ts = np.array([1.2e5, 0.0, 2.0e5, 0.0]), np.array([0.05, 1.0]), 0.01, 0.033
     A, B, c = matrices(x, kappa, tires, car)
     Ad, Bd, cd = bicycle.discretise(A, B, c, Ts)
@@ -159,7 +173,8 @@ def test_steady_state_is_an_equilibrium_of_the_nonlinear_model(car):
 
 
 def test_steady_state_reproduces_the_understeer_gradient(car, params):
-    """delta = L kappa + K ay with K = m/L (lr/Cf - lf/Cr), Rajamani eq. 3.11."""
+    """delta = L kappa + K ay with K = m/L (lr/Cf - lf/Cr), Rajamani eq. 3.11, without trail."""
+    car = car.simplified(trail=False)
     tires = np.array([params.Cf, 0.0, params.Cr, 0.0])
     vx, kappa = 20.0, 1e-4  # ay 0.04 m/s2: linear
     x = np.empty(NX)
@@ -173,5 +188,5 @@ def test_a_curve_to_the_other_side_mirrors_the_steady_state(car):
     left, right = np.empty(NX), np.empty(NX)
     bicycle.steady_state(12.0, 0.03, tires, np.array([0, 0.5, 0.1]), car, left)
     bicycle.steady_state(12.0, -0.03, tires, np.array([0, -0.5, -0.1]), car, right)
-    mirror = np.array([1, -1, -1, -1, -1, -1, 1, -1, -1])
+    mirror = np.array([1, -1, -1, -1, -1, -1, 1, -1, -1, -1, -1])
     np.testing.assert_array_equal(left, mirror * right)

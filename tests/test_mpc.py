@@ -5,7 +5,7 @@ import pytest
 
 from lpvmpc.bicycle import DELTA, NX, Bicycle, derivative
 from lpvmpc.errors import OptionError
-from lpvmpc.mpc import BRAKING, EY_MAX, LPVMPC, PAPER, Formulation, Weights
+from lpvmpc.mpc import BRAKING, EY_MAX, LPVMPC, PAPER, PAPER_WEIGHTS, Formulation, Weights
 from lpvmpc.path import Preview
 from lpvmpc.qp import QPResult
 from lpvmpc.vehicle import State, VehicleParams
@@ -32,7 +32,7 @@ def preview_of(x, kappa, vx, n=NP):
 
 def start(vx, vy=0.0, r=0.0, ey=0.0, epsi=0.0, delta=0.0, a=0.0):
     """State of the nonlinear bicycle with unloaded tires."""
-    return np.array([vx, vy, r, ey, epsi, delta, a, 0.0, 0.0])
+    return np.array([vx, vy, r, ey, epsi, delta, a, 0.0, 0.0, 0.0, 0.0])
 
 
 def drive(car, controller, kappa, vx, periods, push=(0.0, 0.0, 0.0), x=None, n_preview=NP):
@@ -75,7 +75,9 @@ def test_without_the_observer_the_same_disturbance_leaves_an_offset(car):
 def test_the_papers_formulation_drives_the_same_road_less_exactly(car):
     push = (0.0, 0.8, 0.0)  # the side wind of the paper's road is of this size
     full, _ = drive(car, LPVMPC(car), 0.01, 15.0, 150, push)
-    paper, _ = drive(car, LPVMPC(car, formulation=PAPER), 0.01, 15.0, 150, push)
+    paper, _ = drive(
+        car, LPVMPC(car, formulation=PAPER, weights=PAPER_WEIGHTS), 0.01, 15.0, 150, push
+    )
     assert abs(full[-1, 3]) < 2e-5 < 1e-3 < abs(paper[-1, 3]) < EY_MAX
 
 
@@ -98,7 +100,7 @@ def test_an_initial_error_is_driven_to_zero_within_the_bounds(car):
 
 
 def test_mirrored_situations_get_mirrored_commands(car):
-    mirror = np.array([1, -1, -1, -1, -1, -1, 1, -1, -1])
+    mirror = np.array([1, -1, -1, -1, -1, -1, 1, -1, -1, -1, -1])
     x = start(12.0, 0.1, 0.2, 0.05, -0.02, 0.03, 0.2)
     _, left = drive(car, LPVMPC(car), 0.02, 12.0, 40, x=x)
     _, right = drive(car, LPVMPC(car), -0.02, 12.0, 40, x=mirror * x)

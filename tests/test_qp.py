@@ -29,6 +29,8 @@ def problem(seed=0, x0=None, *, u_max=5.0, du_max=1.0, soft_bound=0.5, r=0.1):
         "soft": 0, "soft_bound": soft_bound,
         "slack_weights": np.array([100.0, 1000.0]),
         "scale": np.array([0.5, 2.0]),
+        "terminal": 0.5 * np.eye(NX + NU) + 0.1,
+        "z_ref": 0.2 * rng.standard_normal(NX + NU),
     }  # fmt: skip
     written = {
         "H": np.empty((n, n)), "g": np.empty(n), "C": np.empty((m, n)),
@@ -53,8 +55,10 @@ def cost(given, u, slack):
     states = rollout(given, u)
     du = np.diff(np.vstack([given["u_prev"], u]), axis=0)
     w = given["slack_weights"]
+    end = np.append(states[-1], u[-1]) - given["z_ref"]
     return (
-        (given["q"] * (states - given["x_ref"]) ** 2).sum()
+        end @ given["terminal"] @ end
+        + (given["q"] * (states - given["x_ref"]) ** 2).sum()
         + (given["r_du"] * du**2).sum()
         + w[0] * slack
         + w[1] * slack**2
@@ -139,7 +143,7 @@ def test_without_constraints_the_first_input_is_the_lqr_input():
         np.repeat(A[None], horizon, 0), np.repeat(B[None], horizon, 0), np.zeros((horizon, 2)),
         x0, np.zeros((horizon, 2)), np.tile([2.0, 1.0], (horizon, 1)), np.array([0.5]), u_prev,
         -big, big, np.array([1e6]), 0, 1e6, np.array([1.0, 1.0]), np.array([1.0]),
-        H, g, C, lo, hi, np.empty((horizon, 2)), np.empty((horizon, 2, horizon)),
+        np.zeros((3, 3)), np.zeros(3), H, g, C, lo, hi, np.empty((horizon, 2)), np.empty((horizon, 2, horizon)),
     )  # fmt: skip
     z = np.linalg.solve(H[:-1, :-1], -g[:-1])
     # condense sums x_1..x_N and the LQR x_0..: the difference does not depend on u

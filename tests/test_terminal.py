@@ -1,0 +1,61 @@
+"""The terminal weight: the cost-to-go of the unconstrained problem."""
+
+import numpy as np
+import pytest
+
+from lpvmpc.bicycle import CORRECTED, EPSI, EY, NU, NX, VX, Bicycle, discretise, lpv
+from lpvmpc.terminal import NZ, SPEEDS, cost_to_go
+from lpvmpc.vehicle import VehicleParams
+
+TS = 0.033
+Q = np.array([1.0, 0.0, 0.0, 30.0, 10.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+R = np.array([5.0, 0.05])
+
+
+@pytest.fixture(scope="module")
+def params():
+    return VehicleParams.load()
+
+
+@pytest.mark.parametrize("parts", [{}, {"lags": False, "relaxation": False, "roll": False}])
+def test_no_steering_law_costs_less_than_the_weight_says(params, parts):
+    """Against the definition: the greedy law of P reaches P's cost, and others cost more."""
+    car = Bicycle.of(params).simplified(**parts)
+    tires = np.array([params.Cf, 0.0, params.Cr, 0.0])
+    table = cost_to_go(car, tires, Q, R, TS)
+    n = 8
+    x = np.zeros(NX)
+    x[VX] = SPEEDS[n]
+    A, B, c = np.empty((NX, NX)), np.empty((NX, NU)), np.empty(NX)
+    lpv(x, 0.0, tires, car, CORRECTED, A, B, c)
+    Ad, Bd, _ = discretise(A, B, c, TS)
+    if not car.tau_delta:  # states that copy their input
+        Ad[[5, 6]], Bd[[5, 6]] = 0.0, np.eye(2)
+    step = np.block([[Ad, Bd], [np.zeros((NU, NX)), np.eye(NU)]])
+    push = np.vstack([Bd, np.eye(NU)])
+    later = table[n] + np.diag(np.append(Q, np.zeros(NU)))
+    gain = np.linalg.solve(np.diag(R) + push.T @ later @ push, push.T @ later @ step)
+    start = np.zeros(NZ)
+    start[EY], start[EPSI], start[VX] = 0.3, 0.05, 1.0
+
+    def cost(K):
+        z, total = start.copy(), 0.0
+        for _ in range(3000):
+            du = -K @ z
+            z = step @ z + push @ du
+            total += Q @ z[:NX] ** 2 + R @ du**2
+        return total
+
+    promised = start @ table[n] @ start
+    assert cost(gain) == pytest.approx(promised, rel=1e-6)  # the tail after 99 s is nothing
+    assert cost(1.2 * gain) > promised
+    assert cost(0.8 * gain) > promised
+
+
+def test_the_weight_is_symmetric_positive_and_smooth_over_speed(params):
+    table = cost_to_go(Bicycle.of(params), np.array([params.Cf, 0.0, params.Cr, 0.0]), Q, R, TS)
+    np.testing.assert_array_equal(table, table.transpose(0, 2, 1))
+    for P in table:
+        values = np.linalg.eigvalsh(P)
+        assert values.min() > -1e-9 * values.max()
+    assert (np.abs(np.diff(table[:, EPSI, EPSI])) < 0.6 * table[:-1, EPSI, EPSI]).all()
