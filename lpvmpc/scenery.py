@@ -1,9 +1,11 @@
 """The world around the car in a video: road, meadow, trees, posts and sky, built from a path.
 
 The scene of models/scene.xml is compiled once more with the road of the scenario, for pictures
-only: the plant never sees it. Measured on llvmpipe at 1280x720: the road as a textured strip costs
-6 ms of a 28 ms frame and stays sharp at any length, since its texture repeats; multi-sampling
-would add 40 ms, and the lines are smoothed by the texture's mipmaps without it.
+only: the plant never sees it. Its make is chosen for llvmpipe, OpenGL without a GPU. The road is a
+textured strip that stays sharp at any length, since its texture repeats; mipmaps smooth its lines,
+so that multi-sampling (2.5 times the time) can stay off. A dome is the sky and four triangles are
+the meadow: a sky box and MuJoCo's endless plane took 18 and 9 ms more of a frame. Soft rings stand
+in for a shadow map, which doubles the time.
 """
 
 from __future__ import annotations
@@ -34,6 +36,8 @@ HIDDEN = 5
 
 ASPHALT, LINE, GRAVEL = (92, 94, 97), (232, 232, 226), (126, 122, 100)
 HAZE = np.array((214, 229, 240))
+MEADOW = 48.0
+"""Period of the meadow's texture [m]."""
 SKY_LOW = -0.06
 """Elevation of the lower edge of the sky [rad]; the meadow hides it."""
 SKY_RADIUS = 1000.0
@@ -52,8 +56,9 @@ class Scenery:
     """Centre of each tile [m], shape (tiles, 2)."""
 
     def place(self, data: mujoco.MjData, x: float, y: float, psi: float, sight: float) -> None:
-        """Take the sky and the shadow to the car, and show the tiles within `sight` [m] of it."""
-        data.mocap_pos[:, :2] = x, y  # bodies "shadow" and "sky"
+        """Take sky, meadow and shadow to the car, and show the tiles within `sight` [m] of it."""
+        data.mocap_pos[:, :2] = x, y  # bodies "shadow", "meadow" and "sky"
+        data.mocap_pos[1, :2] = MEADOW * np.round((x / MEADOW, y / MEADOW))  # its texture stays
         data.mocap_quat[0] = np.cos(0.5 * psi), 0.0, 0.0, np.sin(0.5 * psi)
         near = np.hypot(self.centres[:, 0] - x, self.centres[:, 1] - y) < sight + TILE
         self.model.geom_group[self.tiles] = np.where(near, 0, HIDDEN)
@@ -92,15 +97,13 @@ def build(path: Any, *, width: int, height: int, samples: int = 0) -> Scenery:
         spec.visual.global_.offheight = height
         spec.visual.quality.offsamples = samples
         rng = np.random.default_rng(0)
-        _material(spec, "meadow", meadow_image(rng), repeat=1.0 / 48.0)
         _material(spec, "paved", road_image(rng))
         _material(spec, "plants", palette_image())
         spec.geom("ground").group = HIDDEN
         tiles = _road(spec, path) + _roadside(spec, path, rng)
         _shadow(spec)
         # What fills the picture comes last: where something stands before it, it costs nothing.
-        spec.worldbody.add_geom(name="meadow", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0, 0, 5),
-                                pos=(0, 0, -0.06), material="meadow", contype=0, conaffinity=0)
+        _meadow(spec, rng)
         _sky(spec, rng)
         model = spec.compile()
     except (ValueError, KeyError) as error:
@@ -421,8 +424,19 @@ def _elevation(v: Any) -> Any:
     return SKY_LOW + (0.5 * np.pi - SKY_LOW) * np.square(v)
 
 
+def _meadow(spec: mujoco.MjSpec, rng: np.random.Generator) -> None:
+    """Four big triangles around the car; MuJoCo's endless plane takes longer."""
+    _material(spec, "meadow", meadow_image(rng))
+    reach = 25.0 * MEADOW
+    corners = reach * np.array(((0, 0, 0), (-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)), float)
+    faces = np.array(((0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 1)))
+    uv = corners[:, :2] / MEADOW
+    _mesh_geom(spec, "meadow", corners, faces, uv, "meadow",
+               body=spec.worldbody.add_body(name="meadow", mocap=True, pos=(0.0, 0.0, -0.06)))
+
+
 def _sky(spec: mujoco.MjSpec, rng: np.random.Generator) -> None:
-    """Dome around the car. A sky box would be drawn behind the ground too, at 18 ms a frame."""
+    """Dome around the car. A sky box would be drawn behind the ground too."""
     _material(spec, "dome", sky_image(rng))
     # All normals point down, away from sun and camera: what is left is ambient plus emission = 1.
     spec.material("dome").emission = 1.0 - float(np.mean(spec.visual.headlight.ambient))

@@ -55,6 +55,17 @@ def test_pictures_come_back_in_order_and_at_their_rate(film):
         assert abs(centre - 2 * k - 4) <= 5  # the bar is 8 px wide
 
 
+def test_colours_survive_the_video(tmp_path):
+    shades = np.array(((200, 40, 40), (40, 180, 60), (30, 60, 200), (128, 128, 128)), np.uint8)
+    frame = np.repeat(np.repeat(shades.reshape(2, 2, 3), 32, axis=0), 32, axis=1)
+    with video.Encoder(tmp_path / "film.mp4", 64, 64, 30) as encoder:
+        encoder.add(frame)
+    back = decode(tmp_path / "film.mp4")[0][0].astype(int)
+    for row, column in ((16, 16), (16, 48), (48, 16), (48, 48)):  # centres of the patches
+        # 8-bit conversion there and back, and the encoder's own loss
+        assert np.abs(back[row, column] - frame[row, column]).max() <= 8
+
+
 def test_vp9_takes_over_where_there_is_no_h264(tmp_path, monkeypatch):
     real = av.codec.Codec
 
