@@ -315,13 +315,13 @@ def print_table(result: dict[str, Any], log: Log) -> None:
 def rows(result: dict[str, Any], log: Log) -> Iterator[tuple[str, str, str]]:
     """Label, value of this run and value of the paper, as text."""
 
-    def number(key: str, unit: str, digits: int = 4) -> tuple[str, str]:
+    def number(key: str, unit: str, digits: int = 4, scale: float = 1.0) -> tuple[str, str]:
         ours, paper = result[key], PAPER.get(key)
-        shown = "-" if ours is None else f"{ours:.{digits}f} {unit}"
-        return shown, "" if paper is None else f"{paper:.{digits}f} {unit}"
+        shown = "-" if ours is None else f"{scale * ours:.{digits}f} {unit}"
+        return shown, "" if paper is None else f"{scale * paper:.{digits}f} {unit}"
 
-    yield "lateral error, RMSE", *number("lateral_rmse_m", "m")
-    yield "lateral error, largest", *number("lateral_max_m", "m")
+    yield "lateral error, RMSE", *number("lateral_rmse_m", "mm", 2, 1e3)
+    yield "lateral error, largest", *number("lateral_max_m", "mm", 2, 1e3)
     yield "heading error, RMSE", *number("heading_rmse_rad", "rad")
     yield "heading error, largest", *number("heading_max_rad", "rad")
     yield "course error, RMSE", *number("course_rmse_rad", "rad")

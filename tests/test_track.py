@@ -152,7 +152,8 @@ FILES = [
     ("text", "# x_m,y_m\na,b\nc,d\n", "text.csv"),
     ("nan", "# x_m,y_m\n" + "0,0\n5,0\nnan,0\n15,0\n20,0\n", "nan.csv"),
     ("short", "# x_m,y_m\n0,0\n1,0\n", "short.csv"),
-    ("tight", "# x_m,y_m\n" + "".join(f"{x},{y}\n" for x, y in CIRCLE), "tight.csv"),
+    ("tight", "# x_m,y_m\n" + "".join(f"{x},{y}\n" for x, y in CIRCLE),
+     "has a radius of 3.00 m at 0.0 m, but the car cannot turn tighter than"),
     ("slow", "# x_m,y_m,w_tr_right_m,w_tr_left_m,vx_mps\n"
      + "".join(f"{x},0,3,3,-1\n" for x in range(60)), "slow.csv"),
 ]  # fmt: skip
