@@ -307,6 +307,9 @@ def print_table(result: dict[str, Any], log: Log) -> None:
         console.print("Completed.", style="green")
     else:
         console.print(f"Not completed: {result['reason']}.", style="red")
+    used = result["versions"]
+    console.print(f"Seed {result['seed']}, MuJoCo {used['mujoco']}, ProxQP {used['proxsuite']}; "
+                  f"{machine()}.", style="dim")  # fmt: skip
     if beside:
         console.print("Paper: Kebbati et al., on CarSim; its largest speed error is below its RMSE"
                       " as printed.", style="dim")  # fmt: skip
