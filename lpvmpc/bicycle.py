@@ -4,11 +4,11 @@ Equations 1-4 and 7-8 of Kebbati et al. in the corrected form of docs/derivation
 are affine in the slip angle on each axle, Fy = C alpha + F0: the paper's linear tire is F0 = 0, and
 a tangent at the operating point has both terms.
 
-Orders: the MPC state is (vx, vy, r, ey, epsi, delta, a, alpha_f, alpha_r, phi, p): the paper's five states,
-the actual steering angle and drive acceleration, the slip angles that the tires have built up
-over their relaxation lengths, and roll angle and rate; the input is (delta, ax) as commanded. A lag
-of zero means that the quantity follows at once, and its state is then unused; so are the roll
-states without roll stiffness.
+Orders: the MPC state is (vx, vy, r, ey, epsi, delta, a, alpha_f, alpha_r, phi, p): the paper's
+five states, the actual steering angle and drive acceleration, the slip angles that the tires have
+built up over their relaxation lengths, and roll angle and rate; the input is (delta, ax) as
+commanded. A lag of zero means that the quantity follows at once, and its state is then unused; so
+are the roll states without roll stiffness.
 """
 
 from __future__ import annotations
@@ -317,30 +317,27 @@ def hold(A_in, inputs, Ts, method, Ad_out, inputs_out):
     The truncation error is below 1e-6 of the largest entry.
 
     Args:
-        A_in: System matrix, shape (nx, nx).
-        inputs: Columns v that are held constant, shape (nx, k).
+        A_in: System matrix, shape (11, 11).
+        inputs: Columns v that are held constant: of the two inputs and a constant, shape (11, 3).
         Ts: Period [s].
         method: EXACT, or EULER for Ad = I + A Ts, G = I Ts as printed in the paper's eq. 9.
-        Ad_out: Receives Ad, shape (nx, nx).
-        inputs_out: Receives G times each column, shape (nx, k).
+        Ad_out: Receives Ad, shape (11, 11).
+        inputs_out: Receives G times each column, shape (11, 3).
 
     Source: Al-Mohy and Higham, A new scaling and squaring algorithm for the matrix exponential,
     SIAM J. Matrix Anal. Appl. 31 (2009); doubling of G by splitting the integral.
     """
-    n, columns = inputs.shape
     if method == EULER:
-        for i in range(n):
-            for j in range(n):
+        for i in range(NX):
+            for j in range(NX):
                 Ad_out[i, j] = A_in[i, j] * Ts
             Ad_out[i, i] += 1.0
-            for j in range(columns):
+            for j in range(NU + 1):
                 inputs_out[i, j] = inputs[i, j] * Ts
         return
-    M = A_in * Ts
-    M2 = np.zeros((n, n))
-    _add_product(M2, M, M)
-    M3 = np.zeros((n, n))
-    _add_product(M3, M, M2)
+    M, M2, M3 = A_in * Ts, np.empty((NX, NX)), np.empty((NX, NX))
+    _product(M, M, M2)
+    _product(M, M2, M3)
     size = max(_norm(M2) ** (1.0 / 2.0), _norm(M3) ** (1.0 / 3.0))
     doublings = 0
     h = 1.0
@@ -349,55 +346,94 @@ def hold(A_in, inputs, Ts, method, Ad_out, inputs_out):
         doublings += 1
     # S = sum of M^k / (k + 1)!, k = 0..6, so that G = Ts S and Ad = I + M S
     h2, h3 = h * h, h * h * h
-    S = np.empty((n, n))
-    tail = np.empty((n, n))
-    for i in range(n):
-        for j in range(n):
-            m1, m2, m3 = h * M[i, j], h2 * M2[i, j], h3 * M3[i, j]
-            M[i, j], M3[i, j] = m1, m3
-            S[i, j] = m1 / 2.0 + m2 / 6.0
-            tail[i, j] = m1 / 120.0 + m2 / 720.0 + m3 / 5040.0
-        S[i, i] += 1.0
+    S, tail, square = np.empty((NX, NX)), np.empty((NX, NX)), np.empty((NX, NX))
+    for i in range(NX):
+        for j in range(NX):
+            m1, m2 = h * M[i, j], h2 * M2[i, j]
+            M[i, j] = m1
+            M3[i, j] *= h3
+            M2[i, j] = m1 / 2.0 + m2 / 6.0
+            tail[i, j] = m1 / 120.0 + m2 / 720.0 + M3[i, j] / 5040.0
+        M2[i, i] += 1.0
         tail[i, i] += 1.0 / 24.0
-    _add_product(S, M3, tail)
-    Ad = np.zeros((n, n))
-    for i in range(n):
-        Ad[i, i] = 1.0
-    _add_product(Ad, M, S)
-    held = np.zeros((n, columns))
-    _add_product(held, S, inputs)
-    held *= h * Ts
+    _product(M3, tail, S)
+    for i in range(NX):
+        for j in range(NX):
+            S[i, j] += M2[i, j]
+    _product(M, S, Ad_out)
+    for i in range(NX):
+        Ad_out[i, i] += 1.0
+    held = np.empty((NX, NU + 1))
+    _apply(S, inputs, held)
+    for i in range(NX):
+        for j in range(NU + 1):
+            inputs_out[i, j] = h * Ts * held[i, j]
     for _ in range(doublings):
-        more = held.copy()
-        _add_product(more, Ad, held)
-        held = more
-        square = np.zeros((n, n))
-        _add_product(square, Ad, Ad)
-        Ad = square
-    Ad_out[:, :] = Ad
-    inputs_out[:, :] = held
+        _apply(Ad_out, inputs_out, held)
+        for i in range(NX):
+            for j in range(NU + 1):
+                inputs_out[i, j] += held[i, j]
+        _product(Ad_out, Ad_out, square)
+        for i in range(NX):
+            for j in range(NX):
+                Ad_out[i, j] = square[i, j]
 
 
 @njit(cache=True)
-def _add_product(out, left, right):
-    """out += left right for small matrices; skips zeros, of which the LPV form is full."""
-    for i in range(left.shape[0]):
-        for k in range(left.shape[1]):
-            a = left[i, k]
+def _apply(matrix, columns, out):
+    """Multiply: out = matrix columns, for the columns of two inputs and a constant."""
+    for i in range(NX):
+        first, second, constant = 0.0, 0.0, 0.0
+        for k in range(NX):
+            a = matrix[i, k]
             if a != 0.0:
-                for j in range(right.shape[1]):
-                    out[i, j] += a * right[k, j]
+                first += a * columns[k, 0]
+                second += a * columns[k, 1]
+                constant += a * columns[k, 2]
+        out[i, 0], out[i, 1], out[i, 2] = first, second, constant
+
+
+@njit(cache=True)
+def _product(left, right, out):
+    """Multiply: out = left right, of size NX; skips zeros on the left, of which the LPV form is full.
+
+    A row of the result is kept in eleven local numbers instead of a loop over columns: the
+    compiler cannot know that the arrays do not overlap, and this is 1.6 times faster.
+    """
+    for n in range(NX):
+        a = b = c = d = e = f = g = h = i = j = k = 0.0
+        for m in range(NX):
+            v = left[n, m]
+            if v != 0.0:
+                a += v * right[m, 0]
+                b += v * right[m, 1]
+                c += v * right[m, 2]
+                d += v * right[m, 3]
+                e += v * right[m, 4]
+                f += v * right[m, 5]
+                g += v * right[m, 6]
+                h += v * right[m, 7]
+                i += v * right[m, 8]
+                j += v * right[m, 9]
+                k += v * right[m, 10]
+        out[n, 0], out[n, 1], out[n, 2], out[n, 3], out[n, 4], out[n, 5] = a, b, c, d, e, f
+        out[n, 6], out[n, 7], out[n, 8], out[n, 9], out[n, 10] = g, h, i, j, k
+
+
+_UNITS = (1.0, 1.0, 0.3, 1.0, 0.1, 0.1, 1.0, 0.1, 0.1, 0.1, 1.0)
+"""Units of the states in which forces, rates and slips weigh alike; the norm is then near the
+spectral radius, three times smaller than in SI units, and the hold needs one or two doublings."""
 
 
 @njit(cache=True)
 def _norm(matrix):
-    """Largest absolute row sum."""
+    """Largest absolute row sum in balanced units."""
     worst = 0.0
-    for i in range(matrix.shape[0]):
+    for i in range(NX):
         row = 0.0
-        for j in range(matrix.shape[1]):
-            row += abs(matrix[i, j])
-        worst = max(worst, row)
+        for j in range(NX):
+            row += abs(matrix[i, j]) * _UNITS[j]
+        worst = max(worst, row / _UNITS[i])
     return worst
 
 
@@ -460,7 +496,13 @@ def discretise(A: Array, B: Array, c: Array, Ts: float) -> tuple[Array, Array, A
     Returns:
         Ad, Bd, cd of x+ = Ad x + Bd u + cd, shapes as given.
     """
-    inputs = np.column_stack([B, c])
-    Ad, held = np.empty_like(A), np.empty_like(inputs)
-    hold(A, inputs, Ts, EXACT, Ad, held)
+    columns = np.column_stack([B, c])
+    Ad, held = np.empty((NX, NX)), np.zeros_like(columns)
+    for first in range(0, columns.shape[1], NU + 1):
+        some = np.zeros((NX, NU + 1))
+        width = columns[:, first : first + NU + 1].shape[1]
+        some[:, :width] = columns[:, first : first + width]
+        out = np.empty_like(some)
+        hold(A, some, Ts, EXACT, Ad, out)
+        held[:, first : first + width] = out[:, :width]
     return Ad, held[:, :-1], held[:, -1]

@@ -21,7 +21,6 @@ from lpvmpc.bicycle import (
     AR,
     CORRECTED,
     DELTA,
-    EPSI,
     EULER,
     EXACT,
     EY,
@@ -255,14 +254,14 @@ def _terminal(table, vx, x_ref, weight, z_ref):
 
 
 @njit(cache=True)
-def _bounds(schedule, u_prev, du_max, delta_max, slip_cap, car, ax_min, force, power, m_eff,
-            u_lo, u_hi):  # fmt: skip
+def _bounds(schedule, u_prev, du_max, delta_max, slip_cap, car, drive, u_lo, u_hi):
     """Input bounds along the horizon, in place; always reachable within the increment bounds.
 
     Steering: +-delta_max, and no front slip angle above `slip_cap` along the prediction, since
     past the tire's peak more steering turns the car less. Acceleration: motor torque and power at
     the predicted speed, and the brakes.
     """
+    ax_min, force, power, m_eff = drive
     for k in range(u_lo.shape[0]):
         vx = max(schedule[k, VX], car.vx_min)
         flow = np.arctan2(schedule[k, VY] + car.lf * schedule[k, R], vx)
@@ -274,6 +273,23 @@ def _bounds(schedule, u_prev, du_max, delta_max, slip_cap, car, ax_min, force, p
             reach = (k + 1) * du_max[m]
             u_lo[k, m] = min(u_lo[k, m], u_prev[m] + reach)
             u_hi[k, m] = max(u_hi[k, m], u_prev[m] - reach)
+
+
+@njit(cache=True)
+def _period(
+    schedule, kappa, vx_ref, tires, disturbance, u_prev, car, form, method, steady, Ts, table,
+    du_max, delta_max, slip_cap, drive, q, r_du, work, H, g, C, lo, hi,
+):  # fmt: skip
+    """Model, references, bounds and QP of one period; one call, since each call costs its own."""
+    Ad, Bd, cd, x_ref, u_lo, u_hi, terminal, z_ref, free, forced = work
+    _model(schedule, kappa, tires, disturbance, car, form, method, Ts, Ad, Bd, cd)
+    _references(vx_ref, kappa, tires, disturbance, car, steady, x_ref)
+    _terminal(table, vx_ref[len(tires)], x_ref[-1], terminal, z_ref)
+    _bounds(schedule, u_prev, du_max, delta_max, slip_cap, car, drive, u_lo, u_hi)
+    condense(
+        Ad, Bd, cd, schedule[0], x_ref, q, r_du, u_prev, u_lo, u_hi, du_max, EY, EY_MAX,
+        SLACK_WEIGHTS, SCALE, terminal, z_ref, H, g, C, lo, hi, free, forced,
+    )  # fmt: skip
 
 
 @njit(cache=True)
@@ -297,7 +313,7 @@ def _unpack(z, free, forced, x0, scale, plan, prediction):
 def _advance(x, x_next, kappa, kappa_next, tires, disturbance, u, car, form, method, Ts, out):
     """One-period prediction from x, with the model frozen between x and x_next, in place."""
     A_, B_, c_ = np.empty((NX, NX)), np.empty((NX, NU)), np.empty(NX)
-    Ad, rate, held = np.empty((NX, NX)), np.empty((NX, 1)), np.empty((NX, 1))
+    Ad, rate, held = np.empty((NX, NX)), np.zeros((NX, NU + 1)), np.empty((NX, NU + 1))
     lpv(0.5 * (x + x_next), 0.5 * (kappa + kappa_next), tires, car, form, A_, B_, c_)
     for i in range(NX):
         rate[i, 0] = B_[i, 0] * u[0] + B_[i, 1] * u[1] + c_[i]
@@ -475,7 +491,6 @@ class LPVMPC:
 
     def _over_delay(self, x: Array, kappa: Array) -> Array:
         """State at which the command computed now takes effect."""
-        form = self.formulation
         for i in range(self.delay):
             ahead = np.empty(NX)
             _advance(
@@ -487,29 +502,14 @@ class LPVMPC:
 
     def _build(self, x0: Array, state: State, preview: Preview) -> None:
         """Adapt, discretise, and write the QP."""
-        form, w, car, d = self.formulation, self.weights, self.car, self.delay
-        schedule, tires = self._schedule, self._tires
-        schedule[0] = x0
-        kappa, vx_ref = preview.kappa[d:], preview.vx_ref[d:]
-        self.stiffness.horizon(state, schedule, tires)
-        _model(
-            schedule, kappa, tires, self.disturbance, self.bicycle, self._form,
-            self._method, self.Ts, self._Ad, self._Bd, self._cd,
-        )  # fmt: skip
-        _references(
-            vx_ref, kappa, tires, self.disturbance, self.bicycle, form.reference == "steady",
-            self._x_ref,
-        )  # fmt: skip
-        _bounds(
-            schedule, self._queue[-1], self._du_max, self._delta_max,
-            w.slip_cap if form.slip_cap else np.pi, self.bicycle, car.ax_min, car.F_drive_max,
-            car.P_drive_max, car.m_eff, self._u_lo, self._u_hi,
-        )  # fmt: skip
-        _terminal(self._table, vx_ref[self.Np], self._x_ref[-1], self._terminal, self._z_ref)
-        condense(
-            self._Ad, self._Bd, self._cd, x0, self._x_ref, self._q, self._r, self._queue[-1],
-            self._u_lo, self._u_hi, self._du_max, EY, EY_MAX, SLACK_WEIGHTS, SCALE,
-            self._terminal, self._z_ref, self._H, self._g, self._C, self._lo, self._hi, self._free, self._forced,
+        d = self.delay
+        self._schedule[0] = x0
+        self.stiffness.horizon(state, self._schedule, self._tires)
+        _period(
+            self._schedule, preview.kappa[d:], preview.vx_ref[d:], self._tires, self.disturbance,
+            self._queue[-1], self.bicycle, self._form, self._method, self._steady, self.Ts,
+            self._table, self._du_max, self._delta_max, self._slip_cap, self._drive, self._q,
+            self._r, self._work, self._H, self._g, self._C, self._lo, self._hi,
         )  # fmt: skip
 
     def _fall_back(self) -> str:
@@ -539,18 +539,30 @@ class LPVMPC:
         self._H, self._g, self._C = np.zeros((n, n)), np.zeros(n), np.zeros((m, n))
         self._lo, self._hi = np.zeros(m), np.zeros(m)
         self._free, self._forced = np.zeros((N, NX)), np.zeros((N, NX, N * NU))
-        self._Ad, self._Bd = np.zeros((N, NX, NX)), np.zeros((N, NX, NU))
-        self._cd, self._x_ref = np.zeros((N, NX)), np.zeros((N, NX))
+        self._work = (
+            np.zeros((N, NX, NX)),  # Ad
+            np.zeros((N, NX, NU)),  # Bd
+            np.zeros((N, NX)),  # cd
+            np.zeros((N, NX)),  # x_ref
+            np.zeros((N, NU)),  # u_lo
+            np.zeros((N, NU)),  # u_hi
+            np.zeros((NX + NU, NX + NU)),  # terminal weight
+            np.zeros(NX + NU),  # its reference
+            self._free,
+            self._forced,
+        )
         self._tires = np.zeros((N, 4))
         self._schedule, self._prediction = np.zeros((N + 1, NX)), np.zeros((N + 1, NX))
         self._plan, self._plan_next = np.zeros((N, NU)), np.zeros((N, NU))
-        self._u_lo, self._u_hi = np.zeros((N, NU)), np.zeros((N, NU))
         self._queue = np.zeros((self.delay + 1, NU))
         self._x_last, self._predicted = np.zeros(NX), np.zeros(NX)
         self._inner = np.zeros(NX - A)  # not measured: a, slip, roll
         self._kappa_last = 0.0
         self._form = CORRECTED if form.matrices == "corrected" else PRINTED
         self._method = EXACT if form.hold == "exact" else EULER
+        self._steady = form.reference == "steady"
+        self._slip_cap = w.slip_cap if form.slip_cap else np.pi
+        self._drive = (car.ax_min, car.F_drive_max, car.P_drive_max, car.m_eff)
         self._gain = np.full(3, w.observer_gain)
         self._q = np.zeros((N, NX))
         for i, name in enumerate(("vx", "vy", "r", "ey", "epsi")):
@@ -559,10 +571,9 @@ class LPVMPC:
             [w.r_delta / UNITS["delta"] ** 2 / self.Ts, w.r_ax / UNITS["ax"] ** 2 / self.Ts]
         )
         self._table = np.zeros((len(SPEEDS), NX + NU, NX + NU))
-        if w.terminal > 0.0 and form.reference == "steady":
+        if w.terminal > 0.0 and self._steady:
             tires = np.array([car.Cf, 0.0, car.Cr, 0.0])
             self._table = w.terminal * cost_to_go(self.bicycle, tires, self._q[0], self._r, form.Ts)
-        self._terminal, self._z_ref = np.zeros((NX + NU, NX + NU)), np.zeros(NX + NU)
         step = min(DELTA_STEP_PAPER, car.delta_rate_max * self.Ts)
         self._du_max = np.array([step, 2.0 * abs(car.ax_min)])
         self._delta_max = min(DELTA_MAX_PAPER, car.delta_max)

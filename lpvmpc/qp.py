@@ -292,9 +292,8 @@ class QPSolver:
         start = time.thread_time_ns()
         if not all_finite(H, g, C, lo, hi):
             self._prox = None
-            nothing = np.full(self.n, np.nan)
             spent = (time.thread_time_ns() - start) * 1e-3
-            return QPResult(nothing, False, "NOT_FINITE", np.nan, 0.0, spent)
+            return QPResult(np.full(self.n, np.nan), False, "NOT_FINITE", np.nan, 0.0, spent)
         checked = time.thread_time_ns()
         if self._prox is None:
             self._prox = self._new_solver()
@@ -304,25 +303,20 @@ class QPSolver:
         self._prox.solve()
         solved = time.thread_time_ns()
         results = self._prox.results
-        status = results.info.status
+        info = results.info
         z = np.array(results.x)
-        residual = kkt_residual(H, g, C, lo, hi, z, np.array(results.z))
-        good = status == proxsuite.proxqp.PROXQP_SOLVED
-        name = str(status).rsplit(".", 1)[-1].removeprefix("PROXQP_")
-        if good and not residual <= self.tolerance:
+        residual = kkt_residual(H, g, C, lo, hi, z, results.z)
+        good, name = info.status == proxsuite.proxqp.PROXQP_SOLVED, "SOLVED"
+        if not good:
+            name = str(info.status).rsplit(".", 1)[-1].removeprefix("PROXQP_")
+        elif not residual <= self.tolerance:
             good, name = False, "WRONG"
         if not good:
             self._prox = None
+        iterations = info.iter
         done = time.thread_time_ns()
-        return QPResult(
-            z,
-            good,
-            name,
-            float(residual),
-            (solved - checked) * 1e-3,
-            (checked - start + done - solved) * 1e-3,
-            int(results.info.iter),
-        )
+        check_us = (checked - start + done - solved) * 1e-3
+        return QPResult(z, good, name, residual, (solved - checked) * 1e-3, check_us, iterations)
 
     def _new_solver(self) -> proxsuite.proxqp.dense.QP:
         prox = proxsuite.proxqp.dense.QP(
@@ -345,7 +339,7 @@ class QPSolver:
         # Our QPs are feasible by construction (soft state bound, reachable input bounds), and the
         # test for infeasibility is wrong now and then: in 12 of 800 random problems.
         settings.eps_primal_inf = 1e-16
-        settings.default_mu_in = 1e-3
+        settings.default_mu_in = 1e-4
         settings.max_iter = self.max_iter
         settings.max_iter_in = self.max_iter
         return prox

@@ -28,8 +28,7 @@ class StiffnessModel(Protocol):
 
         Args:
             state: The car's state now.
-            prediction: Scheduling trajectory (vx, vy, r, ey, epsi, delta, a, alpha_f, alpha_r, phi, p),
-                shape (Np + 1, 11).
+            prediction: Scheduling trajectory, shape (Np + 1, 11), columns as in `bicycle`.
             tires: Receives (Cf [N/rad], F0f [N], Cr, F0r) per step, shape (Np, 4).
         """
 

@@ -7,9 +7,9 @@ from scipy.linalg import expm
 
 from lpvmpc import bicycle
 from lpvmpc.bicycle import (
-    CORRECTED,
     AF,
     AR,
+    CORRECTED,
     DELTA,
     EPSI,
     EULER,
@@ -137,7 +137,7 @@ def test_exact_hold_is_stable_at_walking_speed_where_euler_is_not(car):
     radius = {}
     for method in (EXACT, EULER):
         Ad = np.empty((NX, NX))
-        bicycle.hold(A, np.zeros((NX, 1)), 0.033, method, Ad, np.empty((NX, 1)))
+        bicycle.hold(A, np.zeros((NX, NU + 1)), 0.033, method, Ad, np.empty((NX, NU + 1)))
         lateral = Ad[1:3, 1:3]
         radius[method] = np.abs(np.linalg.eigvals(lateral)).max()
     assert radius[EXACT] < 1.0 < radius[EULER]

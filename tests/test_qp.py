@@ -143,7 +143,8 @@ def test_without_constraints_the_first_input_is_the_lqr_input():
         np.repeat(A[None], horizon, 0), np.repeat(B[None], horizon, 0), np.zeros((horizon, 2)),
         x0, np.zeros((horizon, 2)), np.tile([2.0, 1.0], (horizon, 1)), np.array([0.5]), u_prev,
         -big, big, np.array([1e6]), 0, 1e6, np.array([1.0, 1.0]), np.array([1.0]),
-        np.zeros((3, 3)), np.zeros(3), H, g, C, lo, hi, np.empty((horizon, 2)), np.empty((horizon, 2, horizon)),
+        np.zeros((3, 3)), np.zeros(3), H, g, C, lo, hi,
+        np.empty((horizon, 2)), np.empty((horizon, 2, horizon)),
     )  # fmt: skip
     z = np.linalg.solve(H[:-1, :-1], -g[:-1])
     # condense sums x_1..x_N and the LQR x_0..: the difference does not depend on u
