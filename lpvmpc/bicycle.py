@@ -395,7 +395,7 @@ def _apply(matrix, columns, out):
 
 @njit(cache=True)
 def _product(left, right, out):
-    """Multiply: out = left right, of size NX; skips zeros on the left, of which the LPV form is full.
+    """Multiply: out = left right, of size NX; skips zeros on the left, where the LPV form has many.
 
     A row of the result is kept in eleven local numbers instead of a loop over columns: the
     compiler cannot know that the arrays do not overlap, and this is 1.6 times faster.

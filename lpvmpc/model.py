@@ -146,8 +146,9 @@ def parameters(model: mujoco.MjModel) -> VehicleParams:
     for w in WHEELS:  # the wheels stay on the road while the body rolls
         unsprung = float(model.body_mass[model.body(f"wheel_{w}").id])
         Ixx -= unsprung * float(centre[w][1] - com[1]) ** 2
-    K_phi, C_phi = _roll(model, centre, tire_f[tire.KZ], tire_r[tire.KZ])
-    K_phi -= m * GRAVITY * float(com[2])
+    roll_f = _roll(model, centre, "f", tire_f[tire.KZ])
+    roll_r = _roll(model, centre, "r", tire_r[tire.KZ])
+    springs = roll_f[0] + roll_r[0]
     values = dict(
         m=m,
         Iz=Iz,
@@ -164,8 +165,9 @@ def parameters(model: mujoco.MjModel) -> VehicleParams:
         Cf=2.0 * tire.cornering_stiffness(tire_f, Fz_f),
         Cr=2.0 * tire.cornering_stiffness(tire_r, Fz_r),
         Ixx=Ixx,
-        K_phi=K_phi,
-        C_phi=C_phi,
+        K_phi=springs - m * GRAVITY * float(com[2]),
+        C_phi=roll_f[1] + roll_r[1],
+        roll_share_front=roll_f[0] / springs,
         trail_f=tire.pneumatic_trail(tire_f, 0.0, Fz_f),
         trail_r=tire.pneumatic_trail(tire_r, 0.0, Fz_r),
         sigma_f=tire.relaxation_lengths(tire_f, Fz_f)[1],
@@ -189,23 +191,23 @@ def parameters(model: mujoco.MjModel) -> VehicleParams:
     return VehicleParams(**{name: float(value) for name, value in values.items()})
 
 
+def tires(model: mujoco.MjModel) -> tuple[Array, Array]:
+    """Magic Formula coefficients of the front and the rear tires, each (N_COEFFICIENTS,)."""
+    return numeric(model, "tire_f"), numeric(model, "tire_r")
+
+
 def _roll(
-    model: mujoco.MjModel, centre: dict[str, Array], KZ_f: float, KZ_r: float
+    model: mujoco.MjModel, centre: dict[str, Array], axle: str, KZ: float
 ) -> tuple[float, float]:
-    """Roll stiffness [N m/rad] and damping [N m s/rad] of springs, bars and tires in series.
+    """Roll stiffness [N m/rad] and damping [N m s/rad] of an axle's springs, bar and tires.
 
     Per wheel in roll, a spring K = k + 2 k_bar in series with the tire's KZ; the damper works on
     the share KZ / (K + KZ) of the travel, twice.
     """
-    stiffness = damping = 0.0
-    for axle, KZ in (("f", KZ_f), ("r", KZ_r)):
-        joint = model.joint(f"susp_{axle}l")
-        spring = float(np.ravel(model.jnt_stiffness[joint.id])[0])
-        spring += 2.0 * float(
-            np.ravel(model.tendon_stiffness[model.tendon(f"antiroll_{axle}").id])[0]
-        )
-        share = KZ / (spring + KZ)
-        half_track = 0.5 * float(centre[f"{axle}l"][1] - centre[f"{axle}r"][1])
-        stiffness += 2.0 * half_track**2 * spring * share
-        damping += 2.0 * half_track**2 * float(model.dof_damping[joint.dofadr[0]]) * share**2
-    return stiffness, damping
+    joint, bar = model.joint(f"susp_{axle}l"), model.tendon(f"antiroll_{axle}")
+    spring = float(np.ravel(model.jnt_stiffness[joint.id])[0])
+    spring += 2.0 * float(np.ravel(model.tendon_stiffness[bar.id])[0])
+    share = KZ / (spring + KZ)
+    half_track = 0.5 * float(centre[f"{axle}l"][1] - centre[f"{axle}r"][1])
+    damping = float(model.dof_damping[joint.dofadr[0]])
+    return 2.0 * half_track**2 * spring * share, 2.0 * half_track**2 * damping * share**2

@@ -371,6 +371,8 @@ class LPVMPC:
         parts = ("lags", "relaxation", "roll", "trail")
         chosen = {name: getattr(self.formulation, name) for name in parts}
         self.bicycle = Bicycle.of(self.car).simplified(**chosen)
+        if hasattr(self.stiffness, "observe"):  # an oracle, which the simulation tells the truth
+            self.observe = self.stiffness.observe
         self._allocate()
         self.reset(np.random.default_rng(0))
 

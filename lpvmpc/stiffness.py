@@ -10,8 +10,16 @@ from typing import Protocol
 
 import numpy as np
 
+from numba import njit
+
+from lpvmpc.axle import Axle, axles, tangent
+from lpvmpc.bicycle import AF, AR, PHI, A
 from lpvmpc.errors import OptionError
-from lpvmpc.vehicle import Array, State, VehicleParams
+from lpvmpc.vehicle import Array, AxleForces, State, VehicleParams
+
+C_MIN = 0.05
+"""Smallest slope of an axle's force as a fraction of the nominal one: past the tire's peak the
+true slope is negative, and a controller must not learn to steer the other way."""
 
 
 class StiffnessModel(Protocol):
@@ -54,3 +62,82 @@ class ConstantStiffness:
     def horizon(self, state: State, prediction: Array, tires: Array) -> None:
         """See `StiffnessModel.horizon`."""
         tires[:] = self.tires
+
+
+class OracleStiffness:
+    """Tangent to the plant's own tire law along the prediction, with the road's true friction."""
+
+    name = "oracle"
+
+    def __init__(self, car: VehicleParams) -> None:
+        """Args: the car; its tires are read from the same MJCF."""
+        from lpvmpc.model import compile_model, tires
+
+        self.car = car
+        self.front, self.rear = axles(car, *tires(compile_model()))
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the road."""
+        self.friction = 1.0
+
+    def observe(self, axle_forces: AxleForces) -> None:
+        """Told by the simulation: the road's friction."""
+        self.friction = axle_forces.mu / self.car.mu
+
+    def horizon(self, state: State, prediction: Array, tires: Array) -> None:
+        """See `StiffnessModel.horizon`."""
+        slopes = (C_MIN * self.car.Cf, C_MIN * self.car.Cr)
+        _tangents(self.front, self.rear, prediction, self.friction, slopes, tires)
+
+
+class SecantOracle:
+    """True force over slip angle of each axle now, held over the horizon: the paper's labels."""
+
+    name = "oracle-secant"
+
+    def __init__(self, car: VehicleParams) -> None:
+        """Args: the car."""
+        self.car = car
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the forces."""
+        self._forces = (0.0, 0.0)
+
+    def observe(self, axle_forces: AxleForces) -> None:
+        """Told by the simulation: the axles' lateral forces."""
+        self._forces = (axle_forces.Fyf, axle_forces.Fyr)
+
+    def horizon(self, state: State, prediction: Array, tires: Array) -> None:
+        """See `StiffnessModel.horizon`."""
+        car = self.car
+        tires[:, 0] = secant(self._forces[0], prediction[0, AF], car.Cf)
+        tires[:, 2] = secant(self._forces[1], prediction[0, AR], car.Cr)
+        tires[:, [1, 3]] = 0.0
+
+
+SECANT_SLIP = 0.01
+"""Slip angle below which a secant is mostly the nominal slope [rad]."""
+
+
+def secant(force: float, alpha: float, C: float) -> float:
+    """Force over slip angle, blended into the nominal slope where the angle is too small.
+
+    (Fy alpha + C e^2) / (alpha^2 + e^2) with e = `SECANT_SLIP`: continuous, and C at rest.
+    """
+    e2 = SECANT_SLIP**2
+    value = (force * alpha + C * e2) / (alpha * alpha + e2)
+    return min(max(value, C_MIN * C), 1.5 * C)
+
+
+@njit(cache=True)
+def _tangents(front: Axle, rear: Axle, prediction, friction, C_min, tires):
+    """Tangents in the middle of each interval of the prediction, in place."""
+    for k in range(tires.shape[0]):
+        alpha_f = 0.5 * (prediction[k, AF] + prediction[k + 1, AF])
+        alpha_r = 0.5 * (prediction[k, AR] + prediction[k + 1, AR])
+        phi = 0.5 * (prediction[k, PHI] + prediction[k + 1, PHI])
+        a = 0.5 * (prediction[k, A] + prediction[k + 1, A])
+        tires[k, 0], tires[k, 1] = tangent(front, alpha_f, phi, a, friction, C_min[0])
+        tires[k, 2], tires[k, 3] = tangent(rear, alpha_r, phi, a, friction, C_min[1])

@@ -117,6 +117,8 @@ class VehicleParams:
     """Roll stiffness: springs, anti-roll bars and tires in series, less gravity [N m/rad]."""
     C_phi: float
     """Roll damping of the dampers, as seen through the tires [N m s/rad]."""
+    roll_share_front: float
+    """Share of the roll stiffness, and so of the load transfer, at the front axle [-]."""
     trail_f: float
     """Pneumatic trail of the front tires at small slip [m]."""
     trail_r: float
