@@ -45,11 +45,9 @@ def _lpv_mpc(**options: Any) -> Controller:
 
 
 def _lpv_mpc_paper(**options: Any) -> Controller:
-    from lpvmpc.mpc import LPVMPC, PAPER
+    from lpvmpc.mpc import LPVMPC, PAPER, PAPER_WEIGHTS
 
-    controller = LPVMPC(formulation=PAPER, **options)
-    controller.name = "lpv-mpc-paper"
-    return controller
+    return LPVMPC(formulation=PAPER, **{"weights": PAPER_WEIGHTS, **options})
 
 
 CONTROLLERS: dict[str, Callable[..., Controller]] = {

@@ -312,11 +312,11 @@ def bends():
 @pytest.mark.parametrize(
     ("name", "bound"),
     [
-        # The promise for the paper's gentler road is 5 mm.
-        ("lpv-mpc", 0.01),
-        # No observer and no feed-forward: it leans against wind and bend with an offset, well
-        # inside the 0.3 m that it allows itself.
-        ("lpv-mpc-paper", 0.15),
+        # 2.5 mm were measured; 5 mm is the promise for the paper's gentler road.
+        ("lpv-mpc", 0.005),
+        # No observer and no feed-forward: it leans against wind and bend with an offset, 26 mm
+        # when this was written.
+        ("lpv-mpc-paper", 0.05),
     ],
 )
 def test_each_controller_keeps_to_the_road(plant, bends, name, bound):
