@@ -55,6 +55,8 @@ class Row(NamedTuple):
     """Side wind from the car's left to its right [m/s]."""
     roll: float
     """Roll angle [rad]."""
+    drive: float
+    """Drive or brake acceleration that reaches the wheels, before resistances [m/s2]."""
 
 
 class Driver(Protocol):
@@ -330,7 +332,7 @@ def drive(
         if leaves_domain(state, outputs, friction) or getattr(driver, "lost", False):
             break
         if k >= 0:
-            rows.append(Row(state, outputs, blow, plant.roll))
+            rows.append(Row(state, outputs, blow, plant.roll, float(plant.data.act[1])))
     return rows
 
 

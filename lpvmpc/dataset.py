@@ -1,0 +1,331 @@
+"""The stiffness data: columns, labels, writing and reading; docs/dataset.md says it in prose.
+
+One row per control instant of a manoeuvre, as Parquet. The slip angle of an axle is the mean of its
+two wheels' after relaxation: the angle that makes the force, and the one that the controller
+predicts. Its label is the secant stiffness, force over slip; where the slip is too small to divide
+by, the slope of the tire law.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from lpvmpc import native, tire
+from lpvmpc.errors import DataError
+from lpvmpc.model import numeric
+from lpvmpc.vehicle import Array
+
+if TYPE_CHECKING:
+    import mujoco
+
+    from lpvmpc.manoeuvres import Row
+
+FORMAT = "lpvmpc-stiffness-1"
+"""Name and version of the file format, kept in the file's metadata."""
+
+COLUMNS = {
+    "run": "number of the run; rows of one run are consecutive",
+    "manoeuvre": "kind of manoeuvre",
+    "t_s": "time since the start of the recording",
+    "vx_mps": "longitudinal speed of the centre of mass, body frame",
+    "vy_mps": "lateral speed, left positive",
+    "delta_rad": "road-wheel angle of the equivalent single track, left positive",
+    "ax_mps2": "longitudinal acceleration of the centre of mass",
+    "r_radps": "yaw rate, counter-clockwise positive",
+    "Cf_Nprad": "front axle: secant stiffness Fyf / alpha_f, at small slip the slope (label)",
+    "Cr_Nprad": "rear axle: secant stiffness Fyr / alpha_r, at small slip the slope (label)",
+    "Fyf_N": "front axle: lateral force across the wheels' heading, left positive",
+    "Fyr_N": "rear axle: lateral force",
+    "alpha_f_rad": "front axle: slip angle after relaxation, positive gives a force to the left",
+    "alpha_r_rad": "rear axle: slip angle after relaxation",
+    "Fzf_N": "front axle: load",
+    "Fzr_N": "rear axle: load",
+    "mu": "peak friction of tires and road at their loads, weighted by the loads",
+    "wind_mps": "side wind, from the car's left to its right positive",
+    "ay_mps2": "lateral acceleration of the centre of mass",
+    "Fxf_N": "front axle: longitudinal force along the wheels' heading",
+    "Fxr_N": "rear axle: longitudinal force",
+    "slope_f_Nprad": "front axle: local slope of the lateral force over the slip angle",
+    "slope_r_Nprad": "rear axle: local slope",
+    "alpha_kin_f_rad": "front axle: slip angle of the single track, delta - atan2(vy + lf r, vx)",
+    "alpha_kin_r_rad": "rear axle: slip angle of the single track, -atan2(vy - lr r, vx)",
+    "drive_mps2": "drive or brake acceleration asked of the wheels, after its lag",
+    "roll_rad": "roll angle of the body, right side down positive",
+    "friction": "scale of the road's peak friction",
+    "mass_kg": "mass of the car",
+}
+"""Columns in their order, and what they mean; units are in the names."""
+
+ALPHA_SMALL, ALPHA_LARGE = 0.002, 0.006
+"""Below the first slip angle the label is the slope, above the second the secant [rad]."""
+
+
+# Labels --------------------------------------------------------------------------------------------
+
+
+def secant_stiffness(alpha: npt.ArrayLike, Fy: npt.ArrayLike, slope: npt.ArrayLike) -> Array:
+    """Label of an axle: secant stiffness, at small slip the slope, with a smooth passage.
+
+    C = w Fy / alpha + (1 - w) slope,   w = t^2 (3 - 2 t),
+    t = (|alpha| - ALPHA_SMALL) / (ALPHA_LARGE - ALPHA_SMALL) within [0, 1]
+
+    Args:
+        alpha: Slip angle of the axle [rad], shape (...,).
+        Fy: Its lateral force [N], shape (...,).
+        slope: Local slope of force over slip angle [N/rad], shape (...,).
+
+    Returns:
+        C [N/rad], shape (...,); continuous, with its first derivative, in all arguments.
+    """
+    alpha, Fy, slope = np.asarray(alpha, float), np.asarray(Fy, float), np.asarray(slope, float)
+    t = np.clip((np.abs(alpha) - ALPHA_SMALL) / (ALPHA_LARGE - ALPHA_SMALL), 0.0, 1.0)
+    w = t * t * (3.0 - 2.0 * t)
+    return w * Fy / np.where(w > 0.0, alpha, 1.0) + (1.0 - w) * slope
+
+
+@njit(cache=True)
+def _slopes(tires, outputs, friction, out):
+    """Local slope of each axle's lateral force over a slip angle that both wheels share, in place.
+
+    Central difference of the tire law at the wheels' slips and loads; a step of 1e-4 is exact to
+    1e-6 of the slope.
+    """
+    h = 1e-4
+    for k in range(outputs.shape[0]):
+        for axle in range(2):
+            c, total = tires[axle], 0.0
+            for wheel in range(2 * axle, 2 * axle + 2):
+                Fz, ratio = outputs[k, native.FZ + wheel], outputs[k, native.SLIP_RATIO + wheel]
+                alpha = outputs[k, native.SLIP_ANGLE + wheel]
+                high = tire.forces(c, ratio, math.tan(alpha + h), Fz, friction)[1]
+                low = tire.forces(c, ratio, math.tan(alpha - h), Fz, friction)[1]
+                total += (high - low) / (2.0 * h)
+            out[k, axle] = total
+
+
+def table_of(
+    rows: Sequence[Row], run: int, kind: str, *, model: mujoco.MjModel, friction: float,
+    mass: float, Ts: float,
+) -> dict[str, npt.NDArray[Any]]:  # fmt: skip
+    """Columns of one run.
+
+    Args:
+        rows: What was recorded, at least one row.
+        run: Number of the run.
+        kind: Kind of manoeuvre.
+        model: The car, for the coefficients of its tires.
+        friction: Scale of the road's peak friction.
+        mass: Mass of the car [kg].
+        Ts: Control period [s].
+
+    Returns:
+        One array of shape (n,) per name of `COLUMNS`.
+    """
+    n = len(rows)
+    o = np.array([row.outputs for row in rows])
+    states = [row.state for row in rows]
+    tires = np.array([numeric(model, "tire_f"), numeric(model, "tire_r")])
+    slopes = np.empty((n, 2))
+    _slopes(tires, o, friction, slopes)
+
+    def axle(first: int, i: int) -> Array:
+        return o[:, first + 2 * i] + o[:, first + 2 * i + 1]
+
+    alpha = [0.5 * axle(native.SLIP_ANGLE, i) for i in range(2)]
+    Fy = [axle(native.FY, i) for i in range(2)]
+    Fz = o[:, native.FZ : native.FZ + 4]
+    mu = o[:, native.MU : native.MU + 4]
+    values: dict[str, Any] = {
+        "run": np.full(n, run, dtype=np.int32),
+        "manoeuvre": np.full(n, kind),
+        "t_s": np.arange(n) * Ts,
+        "vx_mps": [s.vx for s in states],
+        "vy_mps": [s.vy for s in states],
+        "delta_rad": [s.delta for s in states],
+        "ax_mps2": [s.ax for s in states],
+        "r_radps": [s.r for s in states],
+        "Cf_Nprad": secant_stiffness(alpha[0], Fy[0], slopes[:, 0]),
+        "Cr_Nprad": secant_stiffness(alpha[1], Fy[1], slopes[:, 1]),
+        "Fyf_N": Fy[0],
+        "Fyr_N": Fy[1],
+        "alpha_f_rad": alpha[0],
+        "alpha_r_rad": alpha[1],
+        "Fzf_N": axle(native.FZ, 0),
+        "Fzr_N": axle(native.FZ, 1),
+        "mu": (mu * Fz).sum(axis=1) / Fz.sum(axis=1),
+        "wind_mps": [row.wind for row in rows],
+        "ay_mps2": [s.ay for s in states],
+        "Fxf_N": axle(native.FX, 0),
+        "Fxr_N": axle(native.FX, 1),
+        "slope_f_Nprad": slopes[:, 0],
+        "slope_r_Nprad": slopes[:, 1],
+        "alpha_kin_f_rad": o[:, native.ALPHA_F],
+        "alpha_kin_r_rad": o[:, native.ALPHA_R],
+        "drive_mps2": [row.drive for row in rows],
+        "roll_rad": [row.roll for row in rows],
+        "friction": np.full(n, friction),
+        "mass_kg": np.full(n, mass),
+    }
+    return {name: np.asarray(values[name]) for name in COLUMNS}
+
+
+# Files ---------------------------------------------------------------------------------------------
+
+
+def schema() -> Any:
+    """Arrow schema of the columns."""
+    import pyarrow as pa
+
+    kinds = {"run": pa.int32(), "manoeuvre": pa.string()}
+    return pa.schema([(name, kinds.get(name, pa.float64())) for name in COLUMNS])
+
+
+def metadata(facts: dict[str, Any]) -> dict[str, str]:
+    """Metadata of a file: format, meaning of the columns, and the given facts, as JSON."""
+    facts = {**facts, "format": FORMAT, "columns": COLUMNS}
+    return {key: json.dumps(facts[key], sort_keys=True) for key in sorted(facts)}
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Stiffness data in memory."""
+
+    columns: dict[str, npt.NDArray[Any]]
+    """Arrays of shape (n,) by the names of `COLUMNS`, and perhaps more."""
+    meta: dict[str, Any]
+    """Metadata of the file: seed, options, versions, hashes."""
+    sha256: str
+    """Hash of the file's bytes."""
+
+    def __len__(self) -> int:
+        return len(self.columns["run"])
+
+    def __getitem__(self, name: str) -> npt.NDArray[Any]:
+        return self.columns[name]
+
+    @property
+    def kinds(self) -> list[str]:
+        """Kinds of manoeuvres in the data, sorted."""
+        return sorted(set(self.columns["manoeuvre"]))
+
+
+def read(file: str | os.PathLike[str]) -> Dataset:
+    """Read and check a data file.
+
+    Raises:
+        DataError: It is missing, damaged, of another format, lacks columns, or holds NaN.
+    """
+    import pyarrow as pa
+
+    path = Path(file)
+    with _open(path) as parquet:
+        meta = read_metadata(path, parquet)
+        try:
+            table = parquet.read(columns=list(COLUMNS))
+        except (pa.ArrowException, OSError) as error:
+            raise DataError(f"The data in {str(path)!r} are damaged: {_first(error)}.") from error
+    columns = {name: table[name].to_numpy(zero_copy_only=False) for name in COLUMNS}
+    columns["manoeuvre"] = columns["manoeuvre"].astype(str)
+    if not len(columns["run"]):
+        raise DataError(f"The data in {str(path)!r} have no rows.")
+    for name, values in columns.items():
+        if name != "manoeuvre" and not np.isfinite(values).all():
+            row = int(np.flatnonzero(~np.isfinite(values))[0])
+            raise DataError(
+                f"The data in {str(path)!r} hold {values[row]} in column {name}, row {row}, but "
+                "must be finite numbers."
+            )
+    return Dataset(columns, meta, file_sha256(path))
+
+
+def read_metadata(path: Path, parquet: Any = None) -> dict[str, Any]:
+    """Metadata of a data file, after checking its format and columns.
+
+    Raises:
+        DataError: It is missing, damaged, or of another format.
+    """
+    if parquet is None:
+        with _open(path) as opened:
+            return read_metadata(path, opened)
+    raw = parquet.schema_arrow.metadata or {}
+    try:
+        meta = {k.decode(): json.loads(v) for k, v in raw.items() if not k.startswith(b"ARROW")}
+    except ValueError as error:
+        raise DataError(f"{str(path)!r} is no stiffness data: its metadata are not JSON.") from error
+    if meta.get("format") != FORMAT:
+        raise DataError(
+            f"{str(path)!r} has the format {meta.get('format')!r}, but must have {FORMAT!r}; "
+            "data_gen/collect.py makes it anew."
+        )
+    names, wanted = parquet.schema_arrow, schema()
+    for field in wanted:
+        if field.name not in names.names:
+            raise DataError(f"{str(path)!r} lacks the column {field.name}.")
+        if names.field(field.name).type != field.type:
+            raise DataError(
+                f"Column {field.name} of {str(path)!r} is of type {names.field(field.name).type}, "
+                f"but must be {field.type}."
+            )
+    return meta
+
+
+def _open(path: Path) -> Any:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    if not path.is_file():
+        raise DataError(f"There is no data file {str(path)!r}; data_gen/collect.py makes one.")
+    try:
+        return pq.ParquetFile(path)
+    except (pa.ArrowException, OSError) as error:
+        raise DataError(
+            f"{str(path)!r} is damaged or no Parquet file: {_first(error)}."
+        ) from error
+
+
+def _first(error: Exception) -> str:
+    """First line of a library's message, without a full stop."""
+    return (str(error).strip().splitlines() or [type(error).__name__])[0].rstrip(".")
+
+
+def batches(path: Path, rows: int = 65536) -> Iterator[dict[str, npt.NDArray[Any]]]:
+    """The columns of a checked data file in pieces, so that memory stays flat."""
+    with _open(path) as parquet:
+        for batch in parquet.iter_batches(rows, columns=list(COLUMNS)):
+            yield {
+                name: batch.column(name).to_numpy(zero_copy_only=False) for name in COLUMNS
+            }
+
+
+def file_sha256(path: str | os.PathLike[str]) -> str:
+    """SHA-256 of a file's bytes."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def car_sha256(model: mujoco.MjModel) -> str:
+    """Hash of the physical numbers of a car: masses, springs, dampers, tires, drive, air.
+
+    To nine digits, so that neither comments and shapes in the MJCF nor another MuJoCo change it.
+    """
+    digest = hashlib.sha256()
+    arrays = (
+        model.body_mass, model.body_inertia, model.body_pos, model.body_ipos, model.jnt_stiffness,
+        model.jnt_range, model.qpos0, model.qpos_spring, model.dof_damping, model.dof_armature,
+        model.tendon_stiffness, model.numeric_data,
+    )  # fmt: skip
+    for array in arrays:
+        for value in np.ravel(array):
+            digest.update(f"{float(value) + 0.0:.9g},".encode())
+    return digest.hexdigest()
