@@ -56,8 +56,8 @@ class Options:
     """paper, paper-loop, double-lane-change, skidpad, slalom, circuit, or your own FILE.csv."""
     controller: str = "lpv-mpc"
     """lpv-mpc, lpv-mpc-paper, or your own module:Class."""
-    stiffness: Literal["constant"] = "constant"
-    """Tire model of the LPV-MPC."""
+    stiffness: Literal["constant", "oracle", "oracle-secant"] = "constant"
+    """What the LPV-MPC knows of its tires; an oracle is told the plant's own."""
     wind_scale: float = 1.0
     """Factor on the scenario's wind speed."""
     friction: float = 1.0
@@ -97,7 +97,7 @@ def main(options: Options) -> int:
 
     scenario = load_scenario(options.scenario, **scenario_options(options))
     own = ":" in options.controller
-    known = {} if own else {"delay": options.delay}
+    known = {} if own else {"delay": options.delay, "stiffness": options.stiffness}
     controller = load_controller(options.controller, **known)
     plant = Plant()
     name = re.sub(r"[^\w.-]+", "-", f"{scenario.name}-{options.controller}")

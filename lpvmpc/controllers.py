@@ -38,16 +38,39 @@ class Controller(Protocol):
         """Steering angle [rad] and acceleration [m/s2] for the coming control period."""
 
 
+STIFFNESS_MODELS = {
+    "constant": "ConstantStiffness",
+    "oracle": "OracleStiffness",
+    "oracle-secant": "SecantOracle",
+}
+"""Stiffness models by name: classes of stiffness.py, made from the car."""
+
+
 def _lpv_mpc(**options: Any) -> Controller:
     from lpvmpc.mpc import LPVMPC
 
-    return LPVMPC(**options)
+    return LPVMPC(**_with_stiffness(options))
 
 
 def _lpv_mpc_paper(**options: Any) -> Controller:
     from lpvmpc.mpc import LPVMPC, PAPER, PAPER_WEIGHTS
 
-    return LPVMPC(formulation=PAPER, **{"weights": PAPER_WEIGHTS, **options})
+    defaults = {"formulation": PAPER, "weights": PAPER_WEIGHTS}
+    return LPVMPC(**{**defaults, **_with_stiffness(options)})
+
+
+def _with_stiffness(options: dict[str, Any]) -> dict[str, Any]:
+    """The options with the stiffness model in place of its name."""
+    name = options.get("stiffness")
+    if not isinstance(name, str):
+        return options
+    if name not in STIFFNESS_MODELS:
+        raise UnknownNameError("stiffness model", name, STIFFNESS_MODELS)
+    from lpvmpc import stiffness
+    from lpvmpc.vehicle import VehicleParams
+
+    car = options.get("car") or VehicleParams.load()
+    return {**options, "car": car, "stiffness": getattr(stiffness, STIFFNESS_MODELS[name])(car)}
 
 
 CONTROLLERS: dict[str, Callable[..., Controller]] = {
@@ -63,7 +86,7 @@ def load_controller(name: str, **options: Any) -> Controller:
     Args:
         name: One of `CONTROLLERS`, or `module:Class` where the module is found from the current
             directory or PYTHONPATH and the class is made without arguments.
-        options: Arguments for the makers in `CONTROLLERS`.
+        options: Arguments for the makers in `CONTROLLERS`; the stiffness model may be named.
 
     Raises:
         UnknownNameError: No such name.

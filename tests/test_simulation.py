@@ -150,6 +150,10 @@ def test_only_a_controller_that_observes_is_told_the_axle_forces(point_plant, st
     point_plant.axles = "forces"
     log = simulate(point_plant, Oracle(), straight)
     assert seen == ["forces"] * len(log)
+    adaptive = Straight()
+    adaptive.stiffness = Oracle()  # or its stiffness model
+    simulate(point_plant, adaptive, straight)
+    assert seen == ["forces"] * 2 * len(log)
 
 
 def test_the_generator_depends_on_the_seed_alone(point_plant, straight):
@@ -260,6 +264,13 @@ def test_a_controller_of_another_period_is_refused(point_plant, straight):
 def test_an_unknown_controller_lists_the_known():
     with pytest.raises(UnknownNameError, match="lpv-mpc, lpv-mpc-paper"):
         load_controller("mpc")
+
+
+def test_stiffness_models_have_names():
+    for name in ("constant", "oracle", "oracle-secant"):
+        assert load_controller("lpv-mpc", stiffness=name).stiffness.name == name
+    with pytest.raises(UnknownNameError, match="stiffness model 'soft'; the choices are constant"):
+        load_controller("lpv-mpc", stiffness="soft")
 
 
 GOOD = """
