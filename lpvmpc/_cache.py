@@ -22,7 +22,7 @@ def cache_key(package: Path, mujoco_version: str) -> str:
     digest = hashlib.sha256(mujoco_version.encode())
     for file in sorted(package.rglob("*.py")):
         text = file.read_bytes()
-        if b"numba" in text and file.name == "native.py":
+        if b"numba" in text and file.name != "_cache.py":
             digest.update(file.name.encode() + b"\0" + text)
     return digest.hexdigest()[:16]
 
