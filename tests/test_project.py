@@ -135,19 +135,20 @@ def test_modules_import_in_one_direction(root):
         below = {name: used for name, used in below.items() if name not in free}
 
 
-def test_big_packages_stay_where_they_belong(root):
-    homes = {
-        "mujoco": {"layout", "model", "motion", "native", "plant", "provenance", "render",
-                   "rollout", "scenery", "trim"},
-        "proxsuite": {"qp"},
-        "torch": {"training"},
-        "matplotlib": {"figures"},
-        "av": {"video"},
-    }
-    for file in (root / "lpvmpc").rglob("*.py"):
-        packages = {name.split(".")[0] for name in imports(file)}
-        for package, allowed in homes.items():
-            assert package not in packages or file.stem in allowed, f"{file.stem} uses {package}"
+def test_what_a_controller_is_made_of_knows_no_simulator(root):
+    # Compared fairly: these see State and Preview, never MjData. And qp knows nothing but QPs.
+    for name in ("tire", "path", "wind", "bicycle", "observer", "qp", "mpc", "metrics", "log"):
+        packages = {used.split(".")[0] for used in imports(root / "lpvmpc" / f"{name}.py")}
+        assert "mujoco" not in packages
+        assert "proxsuite" not in packages or name == "qp"
+
+
+def test_driving_imports_nothing_for_pictures_or_training():
+    code = "import sys; from lpvmpc import LPVMPC, Plant, load_scenario; print(*sys.modules)"
+    modules = subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, text=True
+    ).stdout.split()
+    assert not {"torch", "matplotlib", "cv2", "av", "gymnasium", "pyarrow"} & set(modules)
 
 
 def test_a_result_names_versions_machine_and_commit():
