@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import queue
+import threading
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path as FilePath
@@ -22,7 +24,10 @@ Image = npt.NDArray[np.uint8]
 
 
 class Encoder:
-    """A video file that appears under its name when it is closed, and always plays."""
+    """A video file that appears under its name when it is closed, and always plays.
+
+    Pictures are encoded in a thread of its own, beside the drawing of the next.
+    """
 
     def __init__(self, path: FilePath, width: int, height: int, fps: int) -> None:
         """Args: the file to write, the size of the pictures [px], frames per second."""
@@ -30,6 +35,10 @@ class Encoder:
         self.part = path.with_name(f".{path.stem}.part{path.suffix or '.mp4'}")
         self.size, self.fps = (width, height), fps
         self.frames = 0
+        self.failure: Exception | None = None
+        # Two pictures may wait: enough for a pause of either side, and little memory.
+        self.waiting: queue.Queue[Image | None] = queue.Queue(maxsize=2)
+        self.worker = threading.Thread(target=self._work, name="encoder", daemon=True)
 
     def __enter__(self) -> Encoder:
         import av
@@ -48,31 +57,54 @@ class Encoder:
         # OpenCV's conversion is that of BT.601 with studio range; say so to the player.
         self.stream.codec_context.colorspace = 6
         self.stream.codec_context.color_range = 1
+        self.worker.start()
         return self
 
     def add(self, frame: Image) -> None:
-        """Append one RGB picture."""
+        """Append one RGB picture, which must not be changed afterwards."""
+        self._check()
+        self.waiting.put(frame)
+        self.frames += 1
+
+    def _work(self) -> None:
+        """Encode what waits, until None comes; after a failure only empty the queue."""
         import av
 
-        # OpenCV converts in a fifth of swscale's time.
-        planes = cv2.cvtColor(frame, cv2.COLOR_RGB2YUV_I420)
-        picture = av.VideoFrame.from_ndarray(planes, format="yuv420p")
-        for packet in self.stream.encode(picture):
-            self.container.mux(packet)
-        self.frames += 1
+        while (frame := self.waiting.get()) is not None:
+            if self.failure is not None:
+                continue
+            try:
+                # OpenCV converts in a fifth of swscale's time.
+                planes = cv2.cvtColor(frame, cv2.COLOR_RGB2YUV_I420)
+                picture = av.VideoFrame.from_ndarray(planes, format="yuv420p")
+                self.container.mux(self.stream.encode(picture))
+            except Exception as error:  # told to the thread that adds pictures
+                self.failure = error
+
+    def _check(self) -> None:
+        """Raise what went wrong in the worker."""
+        if isinstance(self.failure, OSError):  # FFmpeg's errors are of this kind, too
+            raise OutputError(f"Cannot write {str(self.path)!r}: {self.failure}.") from self.failure
+        if self.failure is not None:
+            raise self.failure
 
     def __exit__(self, kind: type[BaseException] | None, error: object, trace: object) -> None:
         """Finish the file; keep it unless something other than Ctrl-C went wrong."""
+        self.waiting.put(None)
+        self.worker.join()
+        keep = self.frames > 0 and (kind is None or issubclass(kind, KeyboardInterrupt))
         try:
-            if self.frames:
-                for packet in self.stream.encode():
-                    self.container.mux(packet)
-        finally:
+            if keep and self.failure is None:
+                self.container.mux(self.stream.encode())
             self.container.close()
-        if self.frames and (kind is None or issubclass(kind, KeyboardInterrupt)):
-            os.replace(self.part, self.path)
-        else:
+            if keep and self.failure is None:
+                os.replace(self.part, self.path)
+        except OSError as broken:
+            self.failure = self.failure or broken
+        finally:
             self.part.unlink(missing_ok=True)
+        if kind is None:
+            self._check()
 
 
 def _stream(container: Any, fps: int) -> Any:

@@ -88,6 +88,25 @@ def test_a_file_without_pictures_is_not_kept(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_full_disk_is_told_and_leaves_nothing(tmp_path):
+    with pytest.raises(OutputError, match="No space left"):
+        with video.Encoder(tmp_path / "film.mp4", 96, 64, 30) as encoder:
+            encoder.container = FullDisk(encoder.container)
+            for k in range(60):
+                encoder.add(picture(k))
+    assert not list(tmp_path.iterdir())
+
+
+class FullDisk:
+    """A container whose file cannot grow."""
+
+    def __init__(self, container):
+        self.close = container.close
+
+    def mux(self, packets):
+        raise OSError(28, "No space left on device")
+
+
 def test_the_name_appears_only_when_the_file_is_whole(tmp_path):
     with video.Encoder(tmp_path / "film.mp4", 96, 64, 30) as encoder:
         encoder.add(picture(0))
