@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from lpvmpc.path import Path
+from lpvmpc.vehicle import model_path
 
 TS = 0.033
 NP = 10
@@ -84,9 +85,8 @@ def _qpos(columns: dict[str, Any], s: Any) -> dict[str, Any]:
     """Generalised coordinates of the packaged car: free joint, slides, steering, spins."""
     import mujoco
 
-    from lpvmpc.scenery import scene_file
 
-    model = mujoco.MjModel.from_xml_path(str(scene_file()))
+    model = mujoco.MjModel.from_xml_path(str(model_path("vehicle.xml")))
     n = s.size
     q = np.tile(model.qpos0, (n, 1))
     yaw, roll = columns["psi_rad"], columns["roll_rad"]
