@@ -133,6 +133,9 @@ class Formulation:
     """Disturbance observer."""
     slip_cap: bool = True
     """Bound on the front slip angle that a command may ask for."""
+    span: int = 2
+    """Periods of the horizon that share one frozen model; a divisor of Np. Freezing over two
+    halves the time to build and costs no accuracy that shows."""
     Np: int = 10
     """Prediction horizon [periods]."""
     Ts: float = 0.033
@@ -149,12 +152,15 @@ class Formulation:
                 raise OptionError(name, getattr(self, name), " or ".join(allowed))
         if not 2 <= self.Np <= 100:
             raise OptionError("Np", self.Np, "a whole number from 2 to 100")
+        if not (1 <= self.span <= self.Np and self.Np % self.span == 0):
+            raise OptionError("span", self.span, f"a divisor of Np = {self.Np}")
         if not (np.isfinite(self.Ts) and 0.001 <= self.Ts <= 0.5):
             raise OptionError("Ts", self.Ts, "a number of seconds from 0.001 to 0.5")
 
 
 PAPER = Formulation(
     hold="euler",
+    span=1,
     reference="plain",
     lags=False,
     relaxation=False,
@@ -198,42 +204,49 @@ class Diagnostics:
 
 @njit(cache=True)
 def _model(schedule, kappa, tires, disturbance, car, form, method, Ts, Ad, Bd, cd):
-    """Freeze the LPV model in the middle of each interval of the horizon and discretise it."""
-    N = tires.shape[0]
+    """Freeze the LPV model along the schedule and discretise it, in place.
+
+    One row of `tires` and one model serve N / len(tires) periods; the exact hold is frozen in the
+    middle of them, Euler at their start, as the paper's.
+    """
+    span = Ad.shape[0] // tires.shape[0]
     A_, B_, c_ = np.empty((NX, NX)), np.empty((NX, NU)), np.empty(NX)
     inputs, held = np.empty((NX, NU + 1)), np.empty((NX, NU + 1))
-    middle = np.empty(NX)
-    for k in range(N):
+    where = np.empty(NX)
+    for n in range(tires.shape[0]):
+        k = n * span
+        end = k if method == EULER else k + span
         for i in range(NX):
-            # Euler is the paper's: frozen at the start of the interval
-            middle[i] = (
-                schedule[k, i] if method == EULER else 0.5 * (schedule[k, i] + schedule[k + 1, i])
-            )
-        curvature = kappa[k] if method == EULER else 0.5 * (kappa[k] + kappa[k + 1])
-        lpv(middle, curvature, tires[k], car, form, A_, B_, c_)
+            where[i] = 0.5 * (schedule[k, i] + schedule[end, i])
+        lpv(where, 0.5 * (kappa[k] + kappa[end]), tires[n], car, form, A_, B_, c_)
         for i in range(NX):
             for m in range(NU):
                 inputs[i, m] = B_[i, m]
             inputs[i, NU] = c_[i] + (disturbance[i] if i < 3 else 0.0)
         hold(A_, inputs, Ts, method, Ad[k], held)
-        for i in range(NX):
-            for m in range(NU):
-                Bd[k, i, m] = held[i, m]
-            cd[k, i] = held[i, NU]
         if car.tau_delta == 0.0:  # the steering follows at once
-            Ad[k, DELTA, DELTA], Bd[k, DELTA, 0] = 0.0, 1.0
+            Ad[k, DELTA, DELTA], held[DELTA, 0] = 0.0, 1.0
         if car.tau_ax == 0.0:
-            Ad[k, A, A], Bd[k, A, 1] = 0.0, 1.0
+            Ad[k, A, A], held[A, 1] = 0.0, 1.0
+        for j in range(k, k + span):
+            for i in range(NX):
+                for m in range(NX):
+                    Ad[j, i, m] = Ad[k, i, m]
+                for m in range(NU):
+                    Bd[j, i, m] = held[i, m]
+                cd[j, i] = held[i, NU]
 
 
 @njit(cache=True)
 def _references(vx_ref, kappa, tires, disturbance, car, steady, x_ref):
     """State reference at steps 1..N of the horizon, in place."""
     N = x_ref.shape[0]
+    span = N // tires.shape[0]
     for k in range(N):
         x_ref[k] = 0.0
         if steady:
-            steady_state(vx_ref[k + 1], kappa[k + 1], tires[k], disturbance, car, x_ref[k])
+            law = tires[k // span]
+            steady_state(vx_ref[k + 1], kappa[k + 1], law, disturbance, car, x_ref[k])
         x_ref[k, VX] = vx_ref[k + 1]
 
 
@@ -284,7 +297,7 @@ def _period(
     Ad, Bd, cd, x_ref, u_lo, u_hi, terminal, z_ref, free, forced = work
     _model(schedule, kappa, tires, disturbance, car, form, method, Ts, Ad, Bd, cd)
     _references(vx_ref, kappa, tires, disturbance, car, steady, x_ref)
-    _terminal(table, vx_ref[len(tires)], x_ref[-1], terminal, z_ref)
+    _terminal(table, vx_ref[len(x_ref)], x_ref[-1], terminal, z_ref)
     _bounds(schedule, u_prev, du_max, delta_max, slip_cap, car, drive, u_lo, u_hi)
     condense(
         Ad, Bd, cd, schedule[0], x_ref, q, r_du, u_prev, u_lo, u_hi, du_max, EY, EY_MAX,
@@ -371,10 +384,8 @@ class LPVMPC:
         parts = ("lags", "relaxation", "roll", "trail")
         chosen = {name: getattr(self.formulation, name) for name in parts}
         self.bicycle = Bicycle.of(self.car).simplified(**chosen)
-        if hasattr(self.stiffness, "observe"):  # an oracle, which the simulation tells the truth
-            self.observe = self.stiffness.observe
         self._allocate()
-        self.reset(np.random.default_rng(0))
+        self._warm_up()
 
     @property
     def preview_steps(self) -> int:
@@ -440,6 +451,16 @@ class LPVMPC:
         )
         return command
 
+    def _warm_up(self) -> None:
+        """Load the compiled code, 50 ms, before the first period needs it; then start anew."""
+        self.reset(np.random.default_rng(0))
+        still = State(0.0, 0.0, 0.0, 10.0, 0.0, 0.0, 0.0, 0.0, 0.0, np.zeros(4))
+        flat = np.zeros(self.preview_steps + 1)
+        preview = Preview(0.0, 0.0, 0.0, flat, flat + 10.0, flat, flat, flat)
+        for _ in range(2):  # the second period also compares with the first
+            self.command(still, preview)
+        self.reset(np.random.default_rng(0))
+
     # one period, step by step -------------------------------------------------------------
 
     def _estimate(self, x: Array, state: State, preview: Preview) -> Array:
@@ -462,7 +483,8 @@ class LPVMPC:
         x[AF], x[AR] = slip_angles(max(x[VX], car.vx_min), x[VY], x[R], x[DELTA], car)
         schedule[:] = x
         schedule[:, VX] = np.maximum(preview.vx_ref[: self.Np + 1], car.vx_min)
-        self.stiffness.horizon(state, schedule, tires)
+        self._knots[:] = schedule[:: self.formulation.span]
+        self.stiffness.horizon(state, self._knots, tires)
         if car.K_phi > 0.0:
             x[PHI] = car.m * car.h * state.ay / car.K_phi
         dx = derivative(x, x[[DELTA, A]], preview.kappa[0], tires[0], car)
@@ -506,7 +528,8 @@ class LPVMPC:
         """Adapt, discretise, and write the QP."""
         d = self.delay
         self._schedule[0] = x0
-        self.stiffness.horizon(state, self._schedule, self._tires)
+        self._knots[:] = self._schedule[:: self.formulation.span]
+        self.stiffness.horizon(state, self._knots, self._tires)
         _period(
             self._schedule, preview.kappa[d:], preview.vx_ref[d:], self._tires, self.disturbance,
             self._queue[-1], self.bicycle, self._form, self._method, self._steady, self.Ts,
@@ -528,9 +551,7 @@ class LPVMPC:
         self._prediction[0] = x0
         self._schedule[:-1] = self._prediction[1:]
         self._schedule[-1] = self._prediction[-1]
-        self._plan_next[:-1] = self._plan[1:]
-        self._plan_next[-1] = self._plan[-1]
-        self._plan, self._plan_next = self._plan_next, self._plan
+        self._plan[:-1] = self._plan[1:]
 
     def _allocate(self) -> None:
         """Arrays that every period reuses, and numbers that never change."""
@@ -553,12 +574,14 @@ class LPVMPC:
             self._free,
             self._forced,
         )
-        self._tires = np.zeros((N, 4))
-        self._schedule, self._prediction = np.zeros((N + 1, NX)), np.zeros((N + 1, NX))
-        self._plan, self._plan_next = np.zeros((N, NU)), np.zeros((N, NU))
-        self._queue = np.zeros((self.delay + 1, NU))
-        self._x_last, self._predicted = np.zeros(NX), np.zeros(NX)
-        self._inner = np.zeros(NX - A)  # not measured: a, slip, roll
+        self._tires, self._knots = np.zeros((N // form.span, 4)), np.zeros((N // form.span + 1, NX))
+        self._schedule: Array = np.zeros((N + 1, NX))
+        self._prediction: Array = np.zeros((N + 1, NX))
+        self._plan: Array = np.zeros((N, NU))
+        self._queue: Array = np.zeros((self.delay + 1, NU))
+        self._x_last: Array = np.zeros(NX)
+        self._predicted: Array = np.zeros(NX)
+        self._inner: Array = np.zeros(NX - A)  # not measured: a, slip, roll
         self._kappa_last = 0.0
         self._form = CORRECTED if form.matrices == "corrected" else PRINTED
         self._method = EXACT if form.hold == "exact" else EULER

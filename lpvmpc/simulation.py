@@ -141,7 +141,7 @@ class _Loop:
         self.limit.call("reset", 0.0, controller.reset, np.random.default_rng(seed))
         held = Command(float(plant.data.ctrl[STEER]), float(plant.data.ctrl[DRIVE]))
         queue = deque([held] * self.delay)
-        told = (controller, getattr(controller, "stiffness", None))  # an oracle, where there is one
+        told: tuple[Any, ...] = (controller, getattr(controller, "stiffness", None))
         observe = next((one.observe for one in told if hasattr(one, "observe")), None)
         s, stuck, k = 0.0, 0, 0
         while True:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-
 from numba import njit
 
 from lpvmpc.axle import Axle, axles, tangent
@@ -36,8 +35,9 @@ class StiffnessModel(Protocol):
 
         Args:
             state: The car's state now.
-            prediction: Scheduling trajectory, shape (Np + 1, 11), columns as in `bicycle`.
-            tires: Receives (Cf [N/rad], F0f [N], Cr, F0r) per step, shape (Np, 4).
+            prediction: Scheduling trajectory at the ends of n intervals of the horizon,
+                shape (n + 1, 11), columns as in `bicycle`.
+            tires: Receives (Cf [N/rad], F0f [N], Cr, F0r) per interval, shape (n, 4).
         """
 
 
