@@ -81,25 +81,30 @@ class Motion:
     """
 
     def __init__(self, log: Any, fps: float) -> None:
-        """Interpolate all columns at the frames' times."""
+        """Interpolate all columns at the frames' times, up to the first row that is not finite."""
         c = log.columns
-        if len(c["t_s"]) < 2 or "qpos_0" not in c:
-            raise RenderError("The log has fewer than two rows or no qpos, so there is no video.")
-        t = np.asarray(c["t_s"], dtype=float)
+        nq = sum(name.startswith("qpos_") for name in c)
+        steps = sum(name.startswith("pred_x_m_") for name in c)
+        place = [c[name] for name in (*(f"qpos_{i}" for i in range(nq)), "s_m", "x_m", "y_m",
+                                      "psi_rad", "vx_mps")]
+        whole = np.isfinite(np.stack(place, axis=1).astype(float)).all(axis=1)
+        rows = len(whole) if whole.all() else int(np.argmin(whole))
+        if rows < 2 or not nq:
+            raise RenderError("The log has fewer than two rows with a finite position of the car, "
+                              "so there is nothing to film.")
+        t = np.asarray(c["t_s"], dtype=float)[:rows]
         self.t = np.arange(t[0], t[-1] + 1e-9, 1.0 / fps)
         self.row = np.clip(np.searchsorted(t, self.t, side="right") - 1, 0, t.size - 2)
         self.part = (self.t - t[self.row]) / (t[self.row + 1] - t[self.row])
         self.values = {name: self._between(np.asarray(column, dtype=float))
                        for name, column in c.items() if not name.startswith(("qpos_", "pred_"))}
         self.values["step_us"] = np.asarray(log.timing["step_us"], dtype=float)[self.row]
-        nq = sum(name.startswith("qpos_") for name in c)
-        qpos = np.stack([c[f"qpos_{i}"] for i in range(nq)], axis=1).astype(float)
+        qpos = np.stack(place[:nq], axis=1).astype(float)
         self.qpos = self._between(qpos)
         self.qpos[:, 3:7] = slerp(qpos[self.row, 3:7], qpos[self.row + 1, 3:7], self.part)
-        steps = sum(name.startswith("pred_x_m_") for name in c)
-        self.horizon = self._between(np.stack(
-            [np.stack([c[f"pred_{a}_m_{k}"] for a in "xy"], axis=1) for k in range(steps)],
-            axis=1)) if steps else np.empty((self.t.size, 0, 2))  # (frames, Np + 1, 2)
+        horizon = [np.stack([c[f"pred_{a}_m_{k}"] for a in "xy"], axis=1) for k in range(steps)]
+        self.horizon = (self._between(np.stack(horizon, axis=1)) if steps
+                        else np.empty((self.t.size, 0, 2)))  # (frames, Np + 1, 2)
 
     def __len__(self) -> int:
         return self.t.size

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+import sys
 from typing import Any
 
 import cv2
@@ -212,12 +213,13 @@ class Stage:
 
 
 def gl_context(width: int, height: int) -> Any:
-    """An OpenGL context without a window: EGL, or what MUJOCO_GL says.
+    """An OpenGL context without a window: EGL (on Linux), or what MUJOCO_GL says.
 
     Raises:
         RenderError: It cannot be opened; the sentence names what to install.
     """
-    backend = os.environ.get("MUJOCO_GL", "").lower().strip() or "egl"
+    usual = "egl" if sys.platform.startswith("linux") else "glfw"
+    backend = os.environ.get("MUJOCO_GL", "").lower().strip() or usual
     try:
         if backend == "egl":
             from mujoco.egl import GLContext

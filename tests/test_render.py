@@ -51,6 +51,14 @@ def test_slerp_turns_at_constant_rate_the_short_way():
     assert render.slerp(a, a, np.array([0.5]))[0] == pytest.approx(a[0])
 
 
+def test_the_film_ends_before_the_first_row_that_is_not_finite():
+    log = fake_log(2.0)
+    log.columns["qpos_1"][40:] = np.nan  # a plant that blew up
+    motion = render.Motion(log, 30)
+    assert motion.t[-1] <= log.columns["t_s"][39] < motion.t[-1] + 1 / 30
+    assert np.isfinite(motion.qpos).all()
+
+
 def test_a_log_without_two_rows_makes_no_video(tmp_path):
     log = fake_log(2.0)
     log.columns = {name: column[:1] for name, column in log.columns.items()}
