@@ -384,6 +384,7 @@ class LPVMPC:
         parts = ("lags", "relaxation", "roll", "trail")
         chosen = {name: getattr(self.formulation, name) for name in parts}
         self.bicycle = Bicycle.of(self.car).simplified(**chosen)
+        self._learns = hasattr(self.stiffness, "learn")
         self._allocate()
         self._warm_up()
 
@@ -508,6 +509,9 @@ class LPVMPC:
             self._x_last, x, self._kappa_last, kappa, self._tires[0], self.disturbance, applied,
             self.bicycle, self._form, self._method, self.Ts, predicted,
         )  # fmt: skip
+        if self._learns:
+            unmodelled = self.disturbance[1:] + (x[1:3] - predicted[1:3]) / self.Ts
+            self.stiffness.learn(unmodelled, self._tires[0, [1, 3]])
         self._inner[:] = predicted[A:]
         x[A:] = self._inner
         if form.observer:
@@ -530,10 +534,12 @@ class LPVMPC:
         self._schedule[0] = x0
         self._knots[:] = self._schedule[:: self.formulation.span]
         self.stiffness.horizon(state, self._knots, self._tires)
+        # the tires' peak moves to smaller slip as the road gets slippery
+        slip_cap = self._slip_cap * min(getattr(self.stiffness, "friction", 1.0), 1.0)
         _period(
             self._schedule, preview.kappa[d:], preview.vx_ref[d:], self._tires, self.disturbance,
             self._queue[-1], self.bicycle, self._form, self._method, self._steady, self.Ts,
-            self._table, self._du_max, self._delta_max, self._slip_cap, self._drive, self._q,
+            self._table, self._du_max, self._delta_max, slip_cap, self._drive, self._q,
             self._r, self._work, self._H, self._g, self._C, self._lo, self._hi,
         )  # fmt: skip
 
