@@ -89,7 +89,7 @@ def test_the_script_writes_what_it_prints(run, short, tmp_path):
     assert values["control_step_p50_us"] <= values["control_step_p99_us"]
     assert values["build_solve_check_p50_us"] < values["control_step_p50_us"]
     assert values["bars"]["help_s"] == {"limit": 1.5, "ok": False}
-    rows = list(csv.DictReader((folder / "speed.csv").open()))
+    rows = list(csv.DictReader((folder / "speed.csv").read_text().splitlines()))
     assert {row["key"]: float(row["value"]) for row in rows} == pytest.approx(
         {key: values[key] for key in values if key not in ("bars", "record")}, rel=1e-5
     )
