@@ -111,6 +111,18 @@ class Bicycle(NamedTuple):
         return self._replace(**changes)
 
 
+@njit(cache=True)
+def unpack(v):
+    """`Bicycle` from an array of its fields, shape (17,), inside compiled code.
+
+    numba takes 10 us to look at a named tuple that comes from Python, and none at an array.
+    """
+    return Bicycle(
+        v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8], v[9], v[10], v[11], v[12],
+        v[13], v[14], v[15], v[16],
+    )  # fmt: skip
+
+
 def slip_angles(vx, vy, r, delta, car):
     """Front and rear slip angles of the single-track model.
 

@@ -38,6 +38,7 @@ from lpvmpc.bicycle import (
     lpv,
     slip_angles,
     steady_state,
+    unpack,
 )
 from lpvmpc.errors import OptionError
 from lpvmpc.path import Preview
@@ -282,7 +283,7 @@ def _bounds(schedule, u_prev, du_max, delta_max, slip_cap, car, drive, u_lo, u_h
         u_hi[k, 0] = min(delta_max, max(flow + slip_cap, -delta_max))
         u_lo[k, 1] = ax_min
         u_hi[k, 1] = min(force, power / vx) / m_eff
-        for m in range(NU):  # what the increment bounds can reach is allowed
+        for m in range(len(du_max)):  # what the increment bounds can reach is allowed
             reach = (k + 1) * du_max[m]
             u_lo[k, m] = min(u_lo[k, m], u_prev[m] + reach)
             u_hi[k, m] = max(u_hi[k, m], u_prev[m] - reach)
@@ -290,10 +291,11 @@ def _bounds(schedule, u_prev, du_max, delta_max, slip_cap, car, drive, u_lo, u_h
 
 @njit(cache=True)
 def _period(
-    schedule, kappa, vx_ref, tires, disturbance, u_prev, car, form, method, steady, Ts, table,
+    schedule, kappa, vx_ref, tires, disturbance, u_prev, constants, form, method, steady, Ts, table,
     du_max, delta_max, slip_cap, drive, q, r_du, work, H, g, C, lo, hi,
 ):  # fmt: skip
     """Model, references, bounds and QP of one period; one call, since each call costs its own."""
+    car = unpack(constants)
     Ad, Bd, cd, x_ref, u_lo, u_hi, terminal, z_ref, free, forced = work
     _model(schedule, kappa, tires, disturbance, car, form, method, Ts, Ad, Bd, cd)
     _references(vx_ref, kappa, tires, disturbance, car, steady, x_ref)
@@ -323,11 +325,12 @@ def _unpack(z, free, forced, x0, scale, plan, prediction):
 
 
 @njit(cache=True)
-def _advance(x, x_next, kappa, kappa_next, tires, disturbance, u, car, form, method, Ts, out):
+def _advance(x, x_next, kappas, tires, disturbance, u, constants, form, method, Ts, out):
     """One-period prediction from x, with the model frozen between x and x_next, in place."""
+    car = unpack(constants)
     A_, B_, c_ = np.empty((NX, NX)), np.empty((NX, NU)), np.empty(NX)
     Ad, rate, held = np.empty((NX, NX)), np.zeros((NX, NU + 1)), np.empty((NX, NU + 1))
-    lpv(0.5 * (x + x_next), 0.5 * (kappa + kappa_next), tires, car, form, A_, B_, c_)
+    lpv(0.5 * (x + x_next), 0.5 * (kappas[0] + kappas[1]), tires, car, form, A_, B_, c_)
     for i in range(NX):
         rate[i, 0] = B_[i, 0] * u[0] + B_[i, 1] * u[1] + c_[i]
         if i < 3:
@@ -384,7 +387,8 @@ class LPVMPC:
         parts = ("lags", "relaxation", "roll", "trail")
         chosen = {name: getattr(self.formulation, name) for name in parts}
         self.bicycle = Bicycle.of(self.car).simplified(**chosen)
-        self._learns = hasattr(self.stiffness, "learn")
+        self._constants = np.array(self.bicycle)
+        self._learn = getattr(self.stiffness, "learn", None)  # a model that adapts to the road
         self._allocate()
         self._warm_up()
 
@@ -506,12 +510,12 @@ class LPVMPC:
         form, predicted = self.formulation, self._predicted
         applied = self._queue[0]
         _advance(
-            self._x_last, x, self._kappa_last, kappa, self._tires[0], self.disturbance, applied,
-            self.bicycle, self._form, self._method, self.Ts, predicted,
+            self._x_last, x, (self._kappa_last, kappa), self._tires[0], self.disturbance, applied,
+            self._constants, self._form, self._method, self.Ts, predicted,
         )  # fmt: skip
-        if self._learns:
+        if self._learn is not None:
             unmodelled = self.disturbance[1:] + (x[1:3] - predicted[1:3]) / self.Ts
-            self.stiffness.learn(unmodelled, self._tires[0, [1, 3]])
+            self._learn(unmodelled, self._tires[0, [1, 3]])
         self._inner[:] = predicted[A:]
         x[A:] = self._inner
         if form.observer:
@@ -522,8 +526,8 @@ class LPVMPC:
         for i in range(self.delay):
             ahead = np.empty(NX)
             _advance(
-                x, x, kappa[i], kappa[i + 1], self._tires[0], self.disturbance,
-                self._queue[i + 1], self.bicycle, self._form, self._method, self.Ts, ahead,
+                x, x, (kappa[i], kappa[i + 1]), self._tires[0], self.disturbance,
+                self._queue[i + 1], self._constants, self._form, self._method, self.Ts, ahead,
             )  # fmt: skip
             x = ahead
         return x
@@ -538,7 +542,7 @@ class LPVMPC:
         slip_cap = self._slip_cap * min(getattr(self.stiffness, "friction", 1.0), 1.0)
         _period(
             self._schedule, preview.kappa[d:], preview.vx_ref[d:], self._tires, self.disturbance,
-            self._queue[-1], self.bicycle, self._form, self._method, self._steady, self.Ts,
+            self._queue[-1], self._constants, self._form, self._method, self._steady, self.Ts,
             self._table, self._du_max, self._delta_max, slip_cap, self._drive, self._q,
             self._r, self._work, self._H, self._g, self._C, self._lo, self._hi,
         )  # fmt: skip
@@ -563,7 +567,7 @@ class LPVMPC:
         """Arrays that every period reuses, and numbers that never change."""
         form, w, car = self.formulation, self.weights, self.car
         N, n = form.Np, form.Np * NU + 1
-        m = n_rows(N, NU)
+        m = n_rows(N, NU, 1)  # the servo's rate; the drive has only its lag
         self.solver = QPSolver(n, m)
         self._H, self._g, self._C = np.zeros((n, n)), np.zeros(n), np.zeros((m, n))
         self._lo, self._hi = np.zeros(m), np.zeros(m)
@@ -606,5 +610,5 @@ class LPVMPC:
             tires = np.array([car.Cf, 0.0, car.Cr, 0.0])
             self._table = w.terminal * cost_to_go(self.bicycle, tires, self._q[0], self._r, form.Ts)
         step = min(DELTA_STEP_PAPER, car.delta_rate_max * self.Ts)
-        self._du_max = np.array([step, 2.0 * abs(car.ax_min)])
+        self._du_max = np.array([step])
         self._delta_max = min(DELTA_MAX_PAPER, car.delta_max)

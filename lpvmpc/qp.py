@@ -19,9 +19,9 @@ from lpvmpc.errors import OptionError
 from lpvmpc.vehicle import Array
 
 
-def n_rows(N: int, nu: int) -> int:
-    """Number of constraint rows: inputs, increments, soft bound on both sides, slack."""
-    return 2 * N * nu + 2 * N + 1
+def n_rows(N: int, nu: int, n_rates: int) -> int:
+    """Number of constraint rows: inputs, bounded increments, soft bound on both sides, slack."""
+    return N * nu + N * n_rates + 2 * N + 1
 
 
 @njit(cache=True)
@@ -34,7 +34,7 @@ def condense(
     sum_{k=1..N} |x_k - x_ref_k|^2_q + sum_{k=0..N-1} |u_k - u_{k-1}|^2_r
         + |(x_N, u_{N-1}) - z_ref|^2_terminal + slack_weights[0] slack + slack_weights[1] slack^2
 
-    Rows in order: inputs (N nu), increments (N nu), upper soft bound (N), lower soft bound (N),
+    Rows in order: inputs (N nu), increments (N n_rates), upper soft bound (N), lower soft bound (N),
     slack >= 0 (1).
 
     Args:
@@ -48,7 +48,7 @@ def condense(
         u_prev: Input applied in the period before, shape (nu,).
         u_lo: Lower input bounds, shape (N, nu).
         u_hi: Upper input bounds, shape (N, nu).
-        du_max: Largest increment, shape (nu,).
+        du_max: Largest increment of the first inputs, shape (n_rates,); the others have none.
         soft: Index of the softly bounded state.
         soft_bound: Its bound: |x[soft]| <= soft_bound + slack.
         slack_weights: Linear and quadratic penalty of the slack, shape (2,).
@@ -140,8 +140,9 @@ def condense(
     H[n - 1, n - 1] = 2.0 * slack_weights[1]
     # constraints
     C[:] = 0.0
+    n_rates = len(du_max)
     rate = N * nu
-    upper = 2 * N * nu
+    upper = rate + N * n_rates
     lower = upper + N
     for k in range(N):
         for m in range(nu):
@@ -149,14 +150,17 @@ def condense(
             C[a, a] = 1.0
             lo[a] = u_lo[k, m] / scale[m]
             hi[a] = u_hi[k, m] / scale[m]
-            C[rate + a, a] = 1.0
-            lo[rate + a] = -du_max[m] / scale[m]
-            hi[rate + a] = du_max[m] / scale[m]
+            if m >= n_rates:
+                continue
+            row = rate + k * n_rates + m
+            C[row, a] = 1.0
+            lo[row] = -du_max[m] / scale[m]
+            hi[row] = du_max[m] / scale[m]
             if k == 0:
-                lo[rate + a] += u_prev[m] / scale[m]
-                hi[rate + a] += u_prev[m] / scale[m]
+                lo[row] += u_prev[m] / scale[m]
+                hi[row] += u_prev[m] / scale[m]
             else:
-                C[rate + a, a - nu] = -1.0
+                C[row, a - nu] = -1.0
         for a in range((k + 1) * nu):
             C[upper + k, a] = forced[k, soft, a]
             C[lower + k, a] = forced[k, soft, a]
