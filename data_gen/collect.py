@@ -53,9 +53,7 @@ def main(options: Options) -> int:
     cli.check_opengl()
     from lpvmpc import collection, coverage
 
-    plan = collection.Plan(
-        samples=options.samples, seed=options.seed, friction=friction, mass=mass
-    )
+    plan = collection.Plan(samples=options.samples, seed=options.seed, friction=friction, mass=mass)
     cli.writable_folder(options.out.parent)
     jobs = options.jobs or cores()
     start = time.perf_counter()

@@ -1,9 +1,9 @@
 """The stiffness data: columns, labels, writing and reading; docs/dataset.md says it in prose.
 
 One row per control instant of a manoeuvre, as Parquet. The slip angle of an axle is the mean of its
-two wheels' after relaxation: the angle that makes the force, and the one that the controller
-predicts. Its label is the secant stiffness, force over slip; where the slip is too small to divide
-by, the slope of the tire law.
+two wheels' after relaxation, weighted by their loads: the angle that makes the force, and the one
+that the controller predicts. Its label is the secant stiffness, force over slip; where the slip is
+too small to divide by, the slope of the tire law at zero slip.
 """
 
 from __future__ import annotations
@@ -58,60 +58,71 @@ COLUMNS = {
     "Fxr_N": "rear axle: longitudinal force",
     "slope_f_Nprad": "front axle: local slope of the lateral force over the slip angle",
     "slope_r_Nprad": "rear axle: local slope",
+    "slope_zero_f_Nprad": "front axle: that slope at slip angle zero, same loads and slip ratios",
+    "slope_zero_r_Nprad": "rear axle: slope at slip angle zero",
     "alpha_kin_f_rad": "front axle: slip angle of the single track, delta - atan2(vy + lf r, vx)",
     "alpha_kin_r_rad": "rear axle: slip angle of the single track, -atan2(vy - lr r, vx)",
     "drive_mps2": "drive or brake acceleration asked of the wheels, after its lag",
     "roll_rad": "roll angle of the body, right side down positive",
+    "roll_rate_radps": "roll rate of the body",
     "friction": "scale of the road's peak friction",
     "mass_kg": "mass of the car",
 }
 """Columns in their order, and what they mean; units are in the names."""
 
-ALPHA_SMALL, ALPHA_LARGE = 0.002, 0.006
+ALPHA_SMALL, ALPHA_LARGE = 0.004, 0.012
 """Below the first slip angle the label is the slope, above the second the secant [rad]."""
 
 
-# Labels --------------------------------------------------------------------------------------------
+# Labels ------------------------------------------------------------------------------------------
 
 
-def secant_stiffness(alpha: npt.ArrayLike, Fy: npt.ArrayLike, slope: npt.ArrayLike) -> Array:
+def secant_stiffness(alpha: npt.ArrayLike, Fy: npt.ArrayLike, slope_zero: npt.ArrayLike) -> Array:
     """Label of an axle: secant stiffness, at small slip the slope, with a smooth passage.
 
-    C = w Fy / alpha + (1 - w) slope,   w = t^2 (3 - 2 t),
+    C = w Fy / alpha + (1 - w) slope_zero,   w = t^2 (3 - 2 t),
     t = (|alpha| - ALPHA_SMALL) / (ALPHA_LARGE - ALPHA_SMALL) within [0, 1]
+
+    The slope at zero rather than the local one, since a secant falls from the first like
+    1 - c alpha^2, but the local slope like 1 - 3 c alpha^2.
 
     Args:
         alpha: Slip angle of the axle [rad], shape (...,).
         Fy: Its lateral force [N], shape (...,).
-        slope: Local slope of force over slip angle [N/rad], shape (...,).
+        slope_zero: Slope of force over slip angle at slip angle zero [N/rad], shape (...,).
 
     Returns:
         C [N/rad], shape (...,); continuous, with its first derivative, in all arguments.
     """
-    alpha, Fy, slope = np.asarray(alpha, float), np.asarray(Fy, float), np.asarray(slope, float)
+    alpha, Fy = np.asarray(alpha, float), np.asarray(Fy, float)
     t = np.clip((np.abs(alpha) - ALPHA_SMALL) / (ALPHA_LARGE - ALPHA_SMALL), 0.0, 1.0)
     w = t * t * (3.0 - 2.0 * t)
-    return w * Fy / np.where(w > 0.0, alpha, 1.0) + (1.0 - w) * slope
+    return w * Fy / np.where(w > 0.0, alpha, 1.0) + (1.0 - w) * np.asarray(slope_zero, float)
 
 
 @njit(cache=True)
-def _slopes(tires, outputs, friction, out):
-    """Local slope of each axle's lateral force over a slip angle that both wheels share, in place.
+def _slope(c, ratio, alpha, Fz, friction):
+    """Slope of a tire's lateral force over its slip angle [N/rad].
 
-    Central difference of the tire law at the wheels' slips and loads; a step of 1e-4 is exact to
-    1e-6 of the slope.
+    Central difference of the tire law; a step of 1e-4 is exact to 1e-5 of the slope.
     """
     h = 1e-4
+    high = tire.forces(c, ratio, math.tan(alpha + h), Fz, friction)[1]
+    low = tire.forces(c, ratio, math.tan(alpha - h), Fz, friction)[1]
+    return (high - low) / (2.0 * h)
+
+
+@njit(cache=True)
+def _slopes(tires, outputs, friction, local, at_zero):
+    """Slopes of each axle's lateral force over a slip angle that both wheels share, in place."""
     for k in range(outputs.shape[0]):
         for axle in range(2):
-            c, total = tires[axle], 0.0
+            local[k, axle] = at_zero[k, axle] = 0.0
             for wheel in range(2 * axle, 2 * axle + 2):
                 Fz, ratio = outputs[k, native.FZ + wheel], outputs[k, native.SLIP_RATIO + wheel]
                 alpha = outputs[k, native.SLIP_ANGLE + wheel]
-                high = tire.forces(c, ratio, math.tan(alpha + h), Fz, friction)[1]
-                low = tire.forces(c, ratio, math.tan(alpha - h), Fz, friction)[1]
-                total += (high - low) / (2.0 * h)
-            out[k, axle] = total
+                local[k, axle] += _slope(tires[axle], ratio, alpha, Fz, friction)
+                at_zero[k, axle] += _slope(tires[axle], ratio, 0.0, Fz, friction)
 
 
 def table_of(
@@ -136,15 +147,16 @@ def table_of(
     o = np.array([row.outputs for row in rows])
     states = [row.state for row in rows]
     tires = np.array([numeric(model, "tire_f"), numeric(model, "tire_r")])
-    slopes = np.empty((n, 2))
-    _slopes(tires, o, friction, slopes)
+    slope, slope_zero = np.empty((n, 2)), np.empty((n, 2))
+    _slopes(tires, o, friction, slope, slope_zero)
 
     def axle(first: int, i: int) -> Array:
         return o[:, first + 2 * i] + o[:, first + 2 * i + 1]
 
-    alpha = [0.5 * axle(native.SLIP_ANGLE, i) for i in range(2)]
     Fy = [axle(native.FY, i) for i in range(2)]
     Fz = o[:, native.FZ : native.FZ + 4]
+    moment = o[:, native.SLIP_ANGLE : native.SLIP_ANGLE + 4] * Fz
+    alpha = [moment[:, i : i + 2].sum(axis=1) / Fz[:, i : i + 2].sum(axis=1) for i in (0, 2)]
     mu = o[:, native.MU : native.MU + 4]
     values: dict[str, Any] = {
         "run": np.full(n, run, dtype=np.int32),
@@ -155,8 +167,8 @@ def table_of(
         "delta_rad": [s.delta for s in states],
         "ax_mps2": [s.ax for s in states],
         "r_radps": [s.r for s in states],
-        "Cf_Nprad": secant_stiffness(alpha[0], Fy[0], slopes[:, 0]),
-        "Cr_Nprad": secant_stiffness(alpha[1], Fy[1], slopes[:, 1]),
+        "Cf_Nprad": secant_stiffness(alpha[0], Fy[0], slope_zero[:, 0]),
+        "Cr_Nprad": secant_stiffness(alpha[1], Fy[1], slope_zero[:, 1]),
         "Fyf_N": Fy[0],
         "Fyr_N": Fy[1],
         "alpha_f_rad": alpha[0],
@@ -168,19 +180,22 @@ def table_of(
         "ay_mps2": [s.ay for s in states],
         "Fxf_N": axle(native.FX, 0),
         "Fxr_N": axle(native.FX, 1),
-        "slope_f_Nprad": slopes[:, 0],
-        "slope_r_Nprad": slopes[:, 1],
+        "slope_f_Nprad": slope[:, 0],
+        "slope_r_Nprad": slope[:, 1],
+        "slope_zero_f_Nprad": slope_zero[:, 0],
+        "slope_zero_r_Nprad": slope_zero[:, 1],
         "alpha_kin_f_rad": o[:, native.ALPHA_F],
         "alpha_kin_r_rad": o[:, native.ALPHA_R],
         "drive_mps2": [row.drive for row in rows],
         "roll_rad": [row.roll for row in rows],
+        "roll_rate_radps": [row.roll_rate for row in rows],
         "friction": np.full(n, friction),
         "mass_kg": np.full(n, mass),
     }
     return {name: np.asarray(values[name]) for name in COLUMNS}
 
 
-# Files ---------------------------------------------------------------------------------------------
+# Files -------------------------------------------------------------------------------------------
 
 
 def schema() -> Any:
@@ -262,7 +277,7 @@ def read_metadata(path: Path, parquet: Any = None) -> dict[str, Any]:
     try:
         meta = {k.decode(): json.loads(v) for k, v in raw.items() if not k.startswith(b"ARROW")}
     except ValueError as error:
-        raise DataError(f"{str(path)!r} is no stiffness data: its metadata are not JSON.") from error
+        raise DataError(f"{str(path)!r} has metadata that are not JSON.") from error
     if meta.get("format") != FORMAT:
         raise DataError(
             f"{str(path)!r} has the format {meta.get('format')!r}, but must have {FORMAT!r}; "
@@ -289,9 +304,7 @@ def _open(path: Path) -> Any:
     try:
         return pq.ParquetFile(path)
     except (pa.ArrowException, OSError) as error:
-        raise DataError(
-            f"{str(path)!r} is damaged or no Parquet file: {_first(error)}."
-        ) from error
+        raise DataError(f"{str(path)!r} is damaged or no Parquet file: {_first(error)}.") from error
 
 
 def _first(error: Exception) -> str:
@@ -303,9 +316,7 @@ def batches(path: Path, rows: int = 65536) -> Iterator[dict[str, npt.NDArray[Any
     """The columns of a checked data file in pieces, so that memory stays flat."""
     with _open(path) as parquet:
         for batch in parquet.iter_batches(rows, columns=list(COLUMNS)):
-            yield {
-                name: batch.column(name).to_numpy(zero_copy_only=False) for name in COLUMNS
-            }
+            yield {name: batch.column(name).to_numpy(zero_copy_only=False) for name in COLUMNS}
 
 
 def file_sha256(path: str | os.PathLike[str]) -> str:

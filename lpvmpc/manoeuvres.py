@@ -55,6 +55,8 @@ class Row(NamedTuple):
     """Side wind from the car's left to its right [m/s]."""
     roll: float
     """Roll angle [rad]."""
+    roll_rate: float
+    """Roll rate [rad/s]."""
     drive: float
     """Drive or brake acceleration that reaches the wheels, before resistances [m/s2]."""
 
@@ -91,7 +93,7 @@ class OpenLoop:
     """Steering and acceleration as functions of time, with a speed controller beneath."""
 
     def __init__(self, vx: float, delta: Array, ax: Array, hold: Array):
-        """Args: wanted speed [m/s], commands [rad, m/s2], whether the speed is held, all (ROWS,)."""
+        """Args: speed to hold [m/s], commands [rad, m/s2], where it is held, all (ROWS,)."""
         self.vx, self.delta, self.ax, self.hold = vx, delta, ax, hold
 
     def __call__(self, k: int, state: State) -> Command:
@@ -205,34 +207,42 @@ def lane_change(rng, car, friction, severity, Ts):
 
 
 def brake_in_turn(rng, car, friction, severity, Ts):
-    """Into a turn at constant speed, then braking up to the friction ellipse."""
+    """Into a turn at constant speed, then braking, suddenly or slowly, up to the grip limit."""
     vx, t = _speed(rng, 8.0), _times(Ts)
     share = min(_share(rng, severity), 1.05)
-    level = rng.uniform(0.1, 0.95) * math.sqrt(max(1.0 - (share / 1.1) ** 2, 0.1)) * severity
-    brake = level * 0.82 * GRAVITY * friction
-    begin = rng.uniform(0.9, 2.0)
-    steer = np.clip(t / 0.7, 0.0, 1.0) * _side(rng) * steer_for(share, vx, car, friction)
-    return _open(vx, steer, np.where(t < begin, 0.0, -brake), t < begin)
+    brake = rng.uniform(0.2, 1.1) * _left_over(share) * severity * car.mu * GRAVITY * friction
+    return _turn_then(rng, t, vx, share, -brake, car, friction)
 
 
 def accelerate_in_turn(rng, car, friction, severity, Ts):
-    """Into a turn at constant speed, then accelerating up to what motor and grip allow."""
+    """Into a turn at constant speed, then accelerating up to what motor or grip allow."""
     vx, t = _speed(rng, 4.0, 25.0), _times(Ts)
     share = min(_share(rng, severity), 1.05)
-    level = rng.uniform(0.1, 1.0) * math.sqrt(max(1.0 - (share / 1.1) ** 2, 0.1)) * severity
-    drive = min(level * 0.45 * GRAVITY * friction, car.ax_max(vx))
-    begin = rng.uniform(0.9, 2.0)
+    drive = rng.uniform(0.2, 1.1) * _left_over(share) * severity * 0.5 * car.mu * GRAVITY * friction
+    return _turn_then(rng, t, vx, share, min(drive, car.ax_max(vx)), car, friction)
+
+
+def _left_over(share: float) -> float:
+    """Longitudinal grip that a share of the lateral one leaves, by the friction circle."""
+    return math.sqrt(max(1.0 - (share / 1.1) ** 2, 0.1))
+
+
+def _turn_then(rng, t, vx, share, ax, car, friction):
+    """Into a turn within 0.7 s, then an acceleration that builds up over 0.1 to 2 s."""
+    begin, rise = rng.uniform(0.9, 1.8), rng.uniform(0.1, 2.0)
     steer = np.clip(t / 0.7, 0.0, 1.0) * _side(rng) * steer_for(share, vx, car, friction)
-    return _open(vx, steer, np.where(t < begin, 0.0, drive), t < begin)
+    return _open(vx, steer, ax * np.clip((t - begin) / rise, 0.0, 1.0), t < begin)
 
 
-# Closed loop: laps ---------------------------------------------------------------------------------
+# Closed loop: laps -------------------------------------------------------------------------------
 
 
 class Lap:
     """A controller on a road."""
 
-    def __init__(self, controller: Controller, path: Path, speed: SpeedProfile, s: float, Ts: float):
+    def __init__(
+        self, controller: Controller, path: Path, speed: SpeedProfile, s: float, Ts: float
+    ):
         """Args: who drives, where, how fast, from which arc length [m], control period [s]."""
         self.controller, self.path, self.speed, self.s, self.Ts = controller, path, speed, s, Ts
         self.steps = int(getattr(controller, "preview_steps", getattr(controller, "Np", 10)))
@@ -294,7 +304,7 @@ KINDS: dict[str, Draw] = {
 """Kinds of manoeuvres by name."""
 
 
-# Driving -------------------------------------------------------------------------------------------
+# Driving -----------------------------------------------------------------------------------------
 
 
 def drive(
@@ -332,7 +342,8 @@ def drive(
         if leaves_domain(state, outputs, friction) or getattr(driver, "lost", False):
             break
         if k >= 0:
-            rows.append(Row(state, outputs, blow, plant.roll, float(plant.data.act[1])))
+            rate, drive_ax = float(plant.data.qvel[3]), float(plant.data.act[1])
+            rows.append(Row(state, outputs, blow, plant.roll, rate, drive_ax))
     return rows
 
 
