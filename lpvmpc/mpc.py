@@ -515,7 +515,7 @@ class LPVMPC:
         )  # fmt: skip
         if self._learn is not None:
             unmodelled = self.disturbance[1:] + (x[1:3] - predicted[1:3]) / self.Ts
-            self._learn(unmodelled, self._tires[0, [1, 3]])
+            self._learn(unmodelled, self._tires[0, [1, 3]].copy())
         self._inner[:] = predicted[A:]
         x[A:] = self._inner
         if form.observer:

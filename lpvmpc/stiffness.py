@@ -6,7 +6,7 @@ Fy = C alpha + F0 around the predicted slip. The paper's secant stiffness has F0
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numba import njit
@@ -14,7 +14,11 @@ from numba import njit
 from lpvmpc.axle import Axle, axles, tangent
 from lpvmpc.bicycle import AF, AR, PHI, A
 from lpvmpc.errors import OptionError
+from lpvmpc.friction import FrictionObserver
 from lpvmpc.vehicle import Array, AxleForces, State, VehicleParams
+
+if TYPE_CHECKING:
+    from lpvmpc.network import Weights as NetworkWeights
 
 C_MIN = 0.05
 """Smallest slope of an axle's force as a fraction of the nominal one: past the tire's peak the
@@ -115,6 +119,41 @@ class SecantOracle:
         tires[:, 0] = secant(self._forces[0], prediction[0, AF], car.Cf)
         tires[:, 2] = secant(self._forces[1], prediction[0, AR], car.Cr)
         tires[:, [1, 3]] = 0.0
+
+
+class NetworkStiffness:
+    """Tangent to the learned axle forces along the prediction, road friction estimated online."""
+
+    name = "network"
+
+    def __init__(
+        self, car: VehicleParams, weights: NetworkWeights | None = None, Ts: float = 0.033
+    ) -> None:
+        """Args: the car, trained weights (default: the shipped ones), the control period [s]."""
+        from lpvmpc.network import NetworkTire
+
+        self.tire = NetworkTire(car, weights, Ts=Ts)
+        self._road = FrictionObserver(car, Ts)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the road."""
+        self.tire.reset()
+        self._road.reset()
+
+    @property
+    def friction(self) -> float:
+        """Estimated scale of the road's friction [-]."""
+        return self._road.friction
+
+    def learn(self, unmodelled: Array, offsets: Array) -> None:
+        """Told by the controller what the tires mispredicted; see `FrictionObserver.update`."""
+        self._road.update(unmodelled, offsets)
+
+    def horizon(self, state: State, prediction: Array, tires: Array) -> None:
+        """See `StiffnessModel.horizon`."""
+        self.tire.friction[:] = self._road.friction
+        self.tire.horizon(state, prediction, tires)
 
 
 SECANT_SLIP = 0.01
