@@ -27,6 +27,7 @@ from torch import Tensor
 from lpvmpc import network, tensors
 from lpvmpc.dataset import Dataset
 from lpvmpc.errors import DataError, LPVMPCError, OptionError
+from lpvmpc.fit import samples_of
 from lpvmpc.network import N_EVEN, SECANT_INPUTS, SECANT_SIZES
 from lpvmpc.vehicle import Array, VehicleParams
 
@@ -189,20 +190,6 @@ class SecantFamily:
         for name in ("x_mean", "x_std", "y_mean", "y_std"):
             arrays[name] = getattr(self, name)[i]
         return {name: np.asarray(a, np.float32) for name, a in arrays.items()}
-
-
-def samples_of(data: Dataset, car: VehicleParams) -> dict[str, Array]:
-    """Arguments of `network.forces_of` from the data."""
-    masses, index = np.unique(data["mass_kg"], return_inverse=True)
-    norms = np.array([network.normalisation(car, m) for m in masses])[index]
-    return {
-        "alpha": np.column_stack([data["alpha_f_rad"], data["alpha_r_rad"]]),
-        "Fx": np.column_stack([data["Fxf_N"], data["Fxr_N"]]),
-        "ax": data["ax_mps2"],
-        "roll": car.K_phi * data["roll_rad"] + car.C_phi * data["roll_rate_radps"],
-        "friction": data["friction"],
-        "norms": norms,
-    }
 
 
 class ForceFamily:
