@@ -38,6 +38,8 @@ SLIP_RATIO_MAX = 0.15
 """Slip ratio of the tires' peak at friction 1; a wheel beyond it spins or locks, and a run ends."""
 WIND_MAX = 40.0
 """Strongest side wind [m/s]."""
+RESOLUTION = 2.0**-20
+"""Resolution of the commands on driven laps [rad, m/s2]: a millionth."""
 LAP_TRACKS = ("tuning-a", "tuning-b")
 """Tracks of the driven laps: never the ones that results are reported on."""
 LAP_CONTROLLERS = ("lpv-mpc", "lpv-mpc-paper")
@@ -254,7 +256,9 @@ class Lap:
         p = self.path.preview(state.x, state.y, state.psi, self.s, self.speed, self.steps, self.Ts)
         self.s = p.s
         self.lost = abs(p.ey) > 3.0 or abs(p.epsi) > 1.0
-        return self.controller.command(state, p)
+        delta, ax = self.controller.command(state, p)
+        # a QP solver's last bits depend on where its memory lies: they must not reach the data
+        return Command(round(delta / RESOLUTION) * RESOLUTION, round(ax / RESOLUTION) * RESOLUTION)
 
 
 def lap(rng, car, friction, severity, Ts):
