@@ -40,6 +40,7 @@ class Controller(Protocol):
 
 STIFFNESS_MODELS = {
     "constant": "ConstantStiffness",
+    "network": "NetworkStiffness",
     "oracle": "OracleStiffness",
     "oracle-secant": "SecantOracle",
 }

@@ -17,6 +17,8 @@ FRICTION_MIN, FRICTION_MAX = 0.2, 1.2
 """Range of the estimated friction scale [-]."""
 DRIFT_FRICTION = 0.5
 """How fast friction may change, standard deviation after one second [-]."""
+SURE = 0.9
+"""Share of the friction in use that is taken as certain: accelerations also come from wind."""
 MEMORY = 20.0
 """Time after which an estimate that nothing confirms is forgotten [s]."""
 DRIFT_FORCE = 800.0
@@ -92,15 +94,19 @@ class FrictionObserver:
         """Estimated force that no tire explains [N], left positive."""
         return float(self._estimate[1])
 
-    def update(self, unmodelled: Array, offsets: Array) -> None:
+    def update(self, unmodelled: Array, offsets: Array, used: float = 0.0) -> None:
         """Learn from one period.
 
         Args:
             unmodelled: Acceleration of (vy, r) that the tire model without observer left
                 unexplained [m/s2, rad/s2], shape (2,).
             offsets: Offsets F0 of the tangents at the front and rear axle [N], shape (2,).
+            used: Friction scale that the car is known to use [-], a lower bound: a front axle
+                that drives hard leaves its tangent little slope, and an estimate that is too
+                low would confirm itself.
         """
         _update(
             self._estimate, self._covariance, self._mass * unmodelled, offsets, self._levers,
             self._Ts,
         )  # fmt: skip
+        self._estimate[0] = min(max(self._estimate[0], SURE * used), FRICTION_MAX)

@@ -135,8 +135,8 @@ class Formulation:
     slip_cap: bool = True
     """Bound on the front slip angle that a command may ask for."""
     span: int = 2
-    """Periods of the horizon that share one frozen model; a divisor of Np. Freezing over two
-    halves the time to build and costs no accuracy that shows."""
+    """Periods of the horizon that share one frozen model and one row of the ey bound; a divisor of
+    Np. Two halve the time to build and cost no accuracy that shows."""
     Np: int = 10
     """Prediction horizon [periods]."""
     Ts: float = 0.033
@@ -302,8 +302,8 @@ def _period(
     _terminal(table, vx_ref[len(x_ref)], x_ref[-1], terminal, z_ref)
     _bounds(schedule, u_prev, du_max, delta_max, slip_cap, car, drive, u_lo, u_hi)
     condense(
-        Ad, Bd, cd, schedule[0], x_ref, q, r_du, u_prev, u_lo, u_hi, du_max, EY, EY_MAX,
-        SLACK_WEIGHTS, SCALE, terminal, z_ref, H, g, C, lo, hi, free, forced,
+        Ad, Bd, cd, schedule[0], x_ref, q, r_du, u_prev, u_lo, u_hi, du_max, EY,
+        len(x_ref) // len(tires), EY_MAX, SLACK_WEIGHTS, SCALE, terminal, z_ref, H, g, C, lo, hi, free, forced,
     )  # fmt: skip
 
 
@@ -476,7 +476,7 @@ class LPVMPC:
         elif self._blind:  # the period before was not measured: no prediction to compare with
             x[A:] = self._inner
         else:
-            self._observe(x, kappa)
+            self._observe(x, kappa, state.ay)
         self._blind = False
         self._x_last[:] = x
         self._kappa_last = kappa
@@ -505,7 +505,7 @@ class LPVMPC:
         schedule[:, A] = x[A]
         self._started = True
 
-    def _observe(self, x: Array, kappa: float) -> None:
+    def _observe(self, x: Array, kappa: float, ay: float) -> None:
         """Compare the measured state with what the model expected for it."""
         form, predicted = self.formulation, self._predicted
         applied = self._queue[0]
@@ -515,7 +515,7 @@ class LPVMPC:
         )  # fmt: skip
         if self._learn is not None:
             unmodelled = self.disturbance[1:] + (x[1:3] - predicted[1:3]) / self.Ts
-            self._learn(unmodelled, self._tires[0, [1, 3]].copy())
+            self._learn(unmodelled, self._tires[0, [1, 3]].copy(), predicted[A], ay)
         self._inner[:] = predicted[A:]
         x[A:] = self._inner
         if form.observer:
@@ -567,7 +567,7 @@ class LPVMPC:
         """Arrays that every period reuses, and numbers that never change."""
         form, w, car = self.formulation, self.weights, self.car
         N, n = form.Np, form.Np * NU + 1
-        m = n_rows(N, NU, 1)  # the servo's rate; the drive has only its lag
+        m = n_rows(N, NU, 1, form.span)  # the servo's rate; the drive has only its lag
         self.solver = QPSolver(n, m)
         self._H, self._g, self._C = np.zeros((n, n)), np.zeros(n), np.zeros((m, n))
         self._lo, self._hi = np.zeros(m), np.zeros(m)

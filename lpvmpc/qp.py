@@ -19,22 +19,23 @@ from lpvmpc.errors import OptionError
 from lpvmpc.vehicle import Array
 
 
-def n_rows(N: int, nu: int, n_rates: int) -> int:
+def n_rows(N: int, nu: int, n_rates: int, soft_every: int = 1) -> int:
     """Number of constraint rows: inputs, bounded increments, soft bound on both sides, slack."""
-    return N * nu + N * n_rates + 2 * N + 1
+    return N * nu + N * n_rates + 2 * (N // soft_every) + 1
 
 
 @njit(cache=True)
 def condense(
-    Ad, Bd, cd, x0, x_ref, q, r_du, u_prev, u_lo, u_hi, du_max, soft, soft_bound, slack_weights,
-    scale, terminal, z_ref, H, g, C, lo, hi, free, forced,
+    Ad, Bd, cd, x0, x_ref, q, r_du, u_prev, u_lo, u_hi, du_max, soft, soft_every, soft_bound,
+    slack_weights, scale, terminal, z_ref, H, g, C, lo, hi, free, forced,
 ):  # fmt: skip
     """Write the QP  min 0.5 z'Hz + g'z  s.t.  lo <= Cz <= hi  of one control period, in place.
 
     sum_{k=1..N} |x_k - x_ref_k|^2_q + sum_{k=0..N-1} |u_k - u_{k-1}|^2_r
         + |(x_N, u_{N-1}) - z_ref|^2_terminal + slack_weights[0] slack + slack_weights[1] slack^2
 
-    Rows in order: inputs (N nu), increments (N n_rates), upper soft bound (N), lower soft bound (N),
+    Rows in order: inputs (N nu), increments (N n_rates), upper soft bound (N / soft_every), lower
+    soft bound (the same),
     slack >= 0 (1).
 
     Args:
@@ -50,6 +51,7 @@ def condense(
         u_hi: Upper input bounds, shape (N, nu).
         du_max: Largest increment of the first inputs, shape (n_rates,); the others have none.
         soft: Index of the softly bounded state.
+        soft_every: The soft bound holds at every this many steps, a divisor of N.
         soft_bound: Its bound: |x[soft]| <= soft_bound + slack.
         slack_weights: Linear and quadratic penalty of the slack, shape (2,).
         scale: Unit of each input in z, shape (nu,).
@@ -143,7 +145,8 @@ def condense(
     n_rates = len(du_max)
     rate = N * nu
     upper = rate + N * n_rates
-    lower = upper + N
+    n_soft = N // soft_every
+    lower = upper + n_soft
     for k in range(N):
         for m in range(nu):
             a = k * nu + m
@@ -161,18 +164,20 @@ def condense(
                 hi[row] += u_prev[m] / scale[m]
             else:
                 C[row, a - nu] = -1.0
+    for i in range(n_soft):
+        k = (i + 1) * soft_every - 1
         for a in range((k + 1) * nu):
-            C[upper + k, a] = forced[k, soft, a]
-            C[lower + k, a] = forced[k, soft, a]
-        C[upper + k, n - 1] = -1.0
-        C[lower + k, n - 1] = 1.0
-        lo[upper + k] = -np.inf
-        hi[upper + k] = soft_bound - free[k, soft]
-        lo[lower + k] = -soft_bound - free[k, soft]
-        hi[lower + k] = np.inf
-    C[lower + N, n - 1] = 1.0
-    lo[lower + N] = 0.0
-    hi[lower + N] = np.inf
+            C[upper + i, a] = forced[k, soft, a]
+            C[lower + i, a] = forced[k, soft, a]
+        C[upper + i, n - 1] = -1.0
+        C[lower + i, n - 1] = 1.0
+        lo[upper + i] = -np.inf
+        hi[upper + i] = soft_bound - free[k, soft]
+        lo[lower + i] = -soft_bound - free[k, soft]
+        hi[lower + i] = np.inf
+    C[lower + n_soft, n - 1] = 1.0
+    lo[lower + n_soft] = 0.0
+    hi[lower + n_soft] = np.inf
 
 
 @njit(cache=True)

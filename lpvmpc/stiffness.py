@@ -6,6 +6,7 @@ Fy = C alpha + F0 around the predicted slip. The paper's secant stiffness has F0
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -15,7 +16,7 @@ from lpvmpc.axle import Axle, axles, tangent
 from lpvmpc.bicycle import AF, AR, PHI, A
 from lpvmpc.errors import OptionError
 from lpvmpc.friction import FrictionObserver
-from lpvmpc.vehicle import Array, AxleForces, State, VehicleParams
+from lpvmpc.vehicle import GRAVITY, Array, AxleForces, State, VehicleParams
 
 if TYPE_CHECKING:
     from lpvmpc.network import Weights as NetworkWeights
@@ -132,6 +133,7 @@ class NetworkStiffness:
         """Args: the car, trained weights (default: the shipped ones), the control period [s]."""
         from lpvmpc.network import NetworkTire
 
+        self.car = car
         self.tire = NetworkTire(car, weights, Ts=Ts)
         self._road = FrictionObserver(car, Ts)
         self.reset()
@@ -146,9 +148,20 @@ class NetworkStiffness:
         """Estimated scale of the road's friction [-]."""
         return self._road.friction
 
-    def learn(self, unmodelled: Array, offsets: Array) -> None:
-        """Told by the controller what the tires mispredicted; see `FrictionObserver.update`."""
-        self._road.update(unmodelled, offsets)
+    def learn(self, unmodelled: Array, offsets: Array, a: float, ay: float) -> None:
+        """Told by the controller what the tires mispredicted, and what they did.
+
+        Args:
+            unmodelled: Unexplained acceleration of (vy, r), shape (2,).
+            offsets: Offsets of the tangents front and rear [N], shape (2,).
+            a: Drive or brake acceleration [m/s2].
+            ay: Lateral acceleration [m/s2].
+        """
+        car = self.car
+        load = car.m * (GRAVITY * car.lr - a * car.h) / car.wheelbase
+        Fx = car.m_eff * a * (1.0 if a > 0.0 else car.brake_front)
+        used = math.hypot(Fx / load, ay / GRAVITY) / car.mu
+        self._road.update(unmodelled, offsets, used)
 
     def horizon(self, state: State, prediction: Array, tires: Array) -> None:
         """See `StiffnessModel.horizon`."""

@@ -10,13 +10,15 @@ from lpvmpc.qp import QPSolver, condense, kkt_residual, n_rows
 N, NX, NU = 8, 3, 2
 
 
-def problem(seed=0, x0=None, *, u_max=5.0, du_max=1.0, soft_bound=0.5, r=0.1, n_rates=NU):
+def problem(
+    seed=0, x0=None, *, u_max=5.0, du_max=1.0, soft_bound=0.5, r=0.1, n_rates=NU, soft_every=1
+):
     """A random stable tracking problem as the arguments of `condense`, and the arrays written."""
     rng = np.random.default_rng(seed)
     Ad = np.repeat((np.eye(NX) + 0.1 * rng.standard_normal((NX, NX)))[None], N, axis=0)
     Bd = np.repeat(0.5 * rng.standard_normal((1, NX, NU)), N, axis=0)
     cd = 0.02 * rng.standard_normal((N, NX))
-    n, m = N * NU + 1, n_rows(N, NU, n_rates)
+    n, m = N * NU + 1, n_rows(N, NU, n_rates, soft_every)
     given = {
         "Ad": Ad, "Bd": Bd, "cd": cd,
         "x0": rng.standard_normal(NX) if x0 is None else x0,
@@ -26,7 +28,7 @@ def problem(seed=0, x0=None, *, u_max=5.0, du_max=1.0, soft_bound=0.5, r=0.1, n_
         "u_prev": 0.1 * rng.standard_normal(NU),
         "u_lo": np.full((N, NU), -u_max), "u_hi": np.full((N, NU), u_max),
         "du_max": np.full(n_rates, du_max),
-        "soft": 0, "soft_bound": soft_bound,
+        "soft": 0, "soft_every": soft_every, "soft_bound": soft_bound,
         "slack_weights": np.array([100.0, 1000.0]),
         "scale": np.array([0.5, 2.0]),
         "terminal": 0.5 * np.eye(NX + NU) + 0.1,
@@ -107,6 +109,14 @@ def test_bounds_and_rates_are_respected_and_the_soft_bound_gives_way():
     assert over <= result.z[-1] + 1e-5
 
 
+def test_a_soft_bound_may_hold_at_every_second_step_only():
+    _, every = problem(x0=np.array([3.0, -1.0, 2.0]), u_max=0.6)
+    _, second = problem(x0=np.array([3.0, -1.0, 2.0]), u_max=0.6, soft_every=2)
+    assert len(every["lo"]) - len(second["lo"]) == N
+    slack = solve(every).z[-1], solve(second).z[-1]
+    assert 0.0 < slack[1] <= slack[0] + 1e-5  # fewer rows ask for no more slack
+
+
 def test_an_input_without_increment_bound_may_jump():
     x0 = np.array([3.0, -1.0, 2.0])
     given, written = problem(x0=x0, du_max=0.05, n_rates=1, soft_bound=100.0)
@@ -152,7 +162,7 @@ def test_without_constraints_the_first_input_is_the_lqr_input():
     condense(
         np.repeat(A[None], horizon, 0), np.repeat(B[None], horizon, 0), np.zeros((horizon, 2)),
         x0, np.zeros((horizon, 2)), np.tile([2.0, 1.0], (horizon, 1)), np.array([0.5]), u_prev,
-        -big, big, np.array([1e6]), 0, 1e6, np.array([1.0, 1.0]), np.array([1.0]),
+        -big, big, np.array([1e6]), 0, 1, 1e6, np.array([1.0, 1.0]), np.array([1.0]),
         np.zeros((3, 3)), np.zeros(3), H, g, C, lo, hi,
         np.empty((horizon, 2)), np.empty((horizon, 2, horizon)),
     )  # fmt: skip

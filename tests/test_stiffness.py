@@ -9,6 +9,7 @@ from lpvmpc.plant import Plant
 from lpvmpc.stiffness import (
     C_MIN,
     ConstantStiffness,
+    NetworkStiffness,
     OracleStiffness,
     SecantOracle,
     secant,
@@ -85,3 +86,38 @@ def test_the_secant_oracle_reproduces_the_force_it_is_told(car):
     oracle.reset()
     oracle.horizon(None, prediction(), tires)
     np.testing.assert_allclose(tires[0], [car.Cf, 0.0, car.Cr, 0.0])
+
+
+def test_the_network_learns_the_road_and_forgets_it(car):
+    model = NetworkStiffness(car)
+    assert model.friction == 1.0
+    for _ in range(5):  # both axles give less than the dry tires would, at a large slip
+        moment = 1.2 * -1200.0 - 1.6 * -500.0
+        unmodelled = np.array([-1700.0 / car.m, moment / car.Iz])
+        model.learn(unmodelled, np.array([5500.0, 2500.0]), 0.0, 3.0)
+    assert model.friction < 0.95
+    model.reset()
+    assert model.friction == 1.0
+
+
+def test_friction_in_use_bounds_the_estimate_from_below(car):
+    """A front axle that drives with 2.5 m/s2 is not on ice, whatever its tangent says."""
+    model = NetworkStiffness(car)
+    for _ in range(200):
+        model.learn(np.array([-5.0, -5.0]), np.array([3000.0, 500.0]), 2.5, 2.0)
+    load = car.m * (9.81 * car.lr - 2.5 * car.h) / car.wheelbase
+    used = np.hypot(car.m_eff * 2.5 / load, 2.0 / 9.81) / car.mu
+    assert model.friction == pytest.approx(0.9 * used, rel=0.01)
+
+
+def test_the_network_is_near_the_oracle_in_a_bend(car):
+    rows = prediction(0.04, 0.02)
+    rows[:, 2] = 0.25
+    rows[:, 9] = car.m * car.h * 15.0 * 0.25 / car.K_phi
+    learned, true = np.empty((5, 4)), np.empty((5, 4))
+    NetworkStiffness(car).horizon(None, rows, learned)
+    OracleStiffness(car).horizon(None, rows, true)
+    for C, F0, alpha in ((0, 1, 0.04), (2, 3, 0.02)):
+        force = true[2, C] * alpha + true[2, F0]
+        assert learned[2, C] * alpha + learned[2, F0] == pytest.approx(force, rel=0.05)
+        assert learned[2, C] == pytest.approx(true[2, C], rel=0.15)
