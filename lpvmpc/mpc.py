@@ -303,7 +303,8 @@ def _period(
     _bounds(schedule, u_prev, du_max, delta_max, slip_cap, car, drive, u_lo, u_hi)
     condense(
         Ad, Bd, cd, schedule[0], x_ref, q, r_du, u_prev, u_lo, u_hi, du_max, EY,
-        len(x_ref) // len(tires), EY_MAX, SLACK_WEIGHTS, SCALE, terminal, z_ref, H, g, C, lo, hi, free, forced,
+        len(x_ref) // len(tires), EY_MAX, SLACK_WEIGHTS, SCALE, terminal, z_ref, H, g, C, lo,
+        hi, free, forced,
     )  # fmt: skip
 
 
