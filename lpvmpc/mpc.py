@@ -8,6 +8,7 @@ fallback. Everything is compiled or a ProxQP call, on preallocated arrays.
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass, field, fields
 from typing import Literal
@@ -426,7 +427,7 @@ class LPVMPC:
             )
         x = np.zeros(NX)
         x[:A] = state.vx, state.vy, state.r, preview.ey, preview.epsi, state.delta
-        if np.isfinite(x).all() and np.isfinite(state.ax + state.ay):
+        if math.isfinite(x.sum() + state.ax + state.ay):
             x0 = self._estimate(x, state, preview)
             self._build(x0, state, preview)
             built = time.thread_time_ns()
