@@ -32,9 +32,9 @@ TRACK = Path(__file__).with_name("track.py")
 DEFINITIONS = """\
 Definitions: every measurement is repeated in {rounds} rounds. A time or a speed is the best \
 round's, since on a shared machine other work only ever slows it down; the ratio of two times is \
-the middle round's. "Worst" is the worst round. Steps and periods are CPU time of their thread; \
-laps, frames, starts and rollouts are wall time where nothing else is said. "Verdict" compares \
-the value with the bar.
+the middle round's. "Rounds" are the least and the most of them. Steps and periods are CPU time \
+of their thread; laps, frames, starts and rollouts are wall time where nothing else is said. \
+"Verdict" compares the value with the bar.
 
 - bare step: the same model with the callbacks taken out, without gravity and with unloaded \
 springs, so that it floats at its usual height and rests on no stop.
@@ -102,10 +102,9 @@ def measure(rounds: int, quick: bool) -> list[tuple[str, list[Figure]]]:
     roads = [("", load_scenario("double-lane-change" if quick else "paper"), "")]
     if not quick:
         roads.append(("circuit_", load_scenario("circuit", grip=0.87), ", 87 % of the grip"))
-    loops = []
-    for label, scenario, how in roads:
-        figures, log = speed.measure_loop(scenario, rounds, label)
-        loops.append((f"Closed loop on {scenario.name}{how}", figures))
+    figures, log = speed.measure_loops([(label, scenario) for label, scenario, _ in roads], rounds)
+    titles = [f"Closed loop on {scenario.name}{how}" for _, scenario, how in roads]
+    loops = list(zip(titles, figures, strict=True))
     say("the video")
     try:
         frames = speed.measure_frame(log, 1 if quick else min(rounds, 3), 12 if quick else 25)
@@ -136,11 +135,13 @@ def report(sections: list[tuple[str, list[Figure]]], rounds: int, load: str) -> 
         "",
         DEFINITIONS.format(rounds=rounds),
     ]
-    header = ("quantity", "value", "worst", "unit", "bar", "verdict")
+    header = ("quantity", "value", "rounds", "unit", "bar", "verdict")
     for title, figures in sections:
         if figures:
             lines.append(markdown_table(title, header, [row(figure) for figure in figures]))
-    bad = [f.text for _, figures in sections for f in figures if f.ok is False]
+    bad = [
+        f"{f.text} ({title})" for title, figures in sections for f in figures if f.ok is False
+    ]
     lines.append(f"Bars not met: {'; '.join(bad)}." if bad else "All bars are met.")
     lines += ["", "Made by `python eval/speed.py`; the rounds are in speed.csv beside this file."]
     return "\n".join(lines) + "\n"
@@ -149,10 +150,12 @@ def report(sections: list[tuple[str, list[Figure]]], rounds: int, load: str) -> 
 def row(figure: Figure) -> tuple[str, ...]:
     """A figure as a row of its table."""
     bar = "" if figure.limit is None else (">= " if figure.pick == "most" else "<= ")
+    low, high = number(min(figure.rounds)), number(max(figure.rounds))
+    span = low if low == high else f"{low} to {high}"
     return (
         figure.text,
         number(figure.value),
-        number(figure.worst),
+        span,
         figure.unit,
         bar and bar + f"{figure.limit:g}",
         {None: "", True: "met", False: "MISSED"}[figure.ok],
@@ -168,13 +171,12 @@ def as_csv(figures: list[Figure]) -> str:
     """All figures with all rounds, one line each."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(("key", "quantity", "unit", "value", "worst", "limit", "ok", "rounds"))
+    writer.writerow(("key", "quantity", "unit", "value", "limit", "ok", "rounds"))
     for f in figures:
         rounds = " ".join(f"{value:.6g}" for value in f.rounds)
         limit = "" if f.limit is None else f.limit
         ok = "" if f.ok is None else f.ok
-        writer.writerow((f.key, f.text, f.unit, f"{f.value:.6g}", f"{f.worst:.6g}", limit, ok,
-                         rounds))  # fmt: skip
+        writer.writerow((f.key, f.text, f.unit, f"{f.value:.6g}", limit, ok, rounds))
     return text.getvalue()
 
 

@@ -12,7 +12,7 @@ import math
 import statistics
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -58,11 +58,6 @@ class Figure:
         if self.pick == "middle":
             return statistics.median(self.rounds)
         return min(self.rounds) if self.pick == "least" else max(self.rounds)
-
-    @property
-    def worst(self) -> float:
-        """The round furthest on the bad side: how noisy it was."""
-        return min(self.rounds) if self.pick == "most" else max(self.rounds)
 
     @property
     def ok(self) -> bool | None:
@@ -157,30 +152,40 @@ def thread_us(call: Callable[[], object]) -> float:
 # --- controller and lap ---
 
 
-def measure_loop(scenario: Scenario, rounds: int = 5, label: str = "") -> tuple[list[Figure], Log]:
-    """Control step, whole and in parts, and the whole simulation of one road.
+def measure_loops(
+    roads: Sequence[tuple[str, Scenario]], rounds: int = 5
+) -> tuple[list[list[Figure]], Log]:
+    """Control step, whole and in parts, and the whole simulation of some roads.
 
-    Every round drives the same road to the same commands, so step k does the same work in each;
-    the figures `quiet` take the fastest round of every single step.
+    The roads take turns, so that a busy minute of the machine does not hit one of them alone. Every
+    round drives a road to the same commands, so step k does the same work in each; the figures
+    `quiet` take the fastest round of every single step.
 
     Args:
-        scenario: What is driven, with the LPV-MPC.
+        roads: Prefix of the keys, and what is driven with the LPV-MPC.
         rounds: Number of rounds, after one that warms up.
-        label: Put before the keys.
 
     Returns:
-        The figures and the log of the last round.
+        The figures of each road, and the log of a run.
     """
     plant, controller = Plant(), LPVMPC()
-    steps, lap, cpu = [], [], []
+    runs: list[list[tuple[Log, float]]] = [[] for _ in roads]
     for i in range(rounds + 1):
-        before = time.thread_time()
-        log = simulate(plant, controller, scenario)
-        spent = time.thread_time() - before
-        if not log.meta["completed"]:
-            raise LPVMPCError(f"{scenario.name} was not completed: {log.meta['reason']}.")
-        if i == 0:
-            continue
+        for (_, scenario), kept in zip(roads, runs, strict=True):
+            before = time.thread_time()
+            log = simulate(plant, controller, scenario)
+            spent = time.thread_time() - before
+            if not log.meta["completed"]:
+                raise LPVMPCError(f"{scenario.name} was not completed: {log.meta['reason']}.")
+            if i:
+                kept.append((log, spent))
+    return [loop_figures(label, kept) for (label, _), kept in zip(roads, runs, strict=True)], log
+
+
+def loop_figures(label: str, runs: Sequence[tuple[Log, float]]) -> list[Figure]:
+    """Figures of several runs of one road, each with the CPU time of the whole simulation [s]."""
+    steps, lap, cpu = [], [], []
+    for log, spent in runs:
         part = log.timing["build_us"], log.timing["solve_us"], log.timing["check_us"]
         steps.append(np.column_stack([log.timing["step_us"], sum(part), *part]))
         lap.append(log.meta["duration_s"] / log.meta["wall_s"])
@@ -188,7 +193,7 @@ def measure_loop(scenario: Scenario, rounds: int = 5, label: str = "") -> tuple[
     times = np.array(steps)  # (rounds, steps, quantities)
     p50, p99 = np.percentile(times, (50.0, 99.0), axis=1)  # (rounds, quantities)
     quiet = np.percentile(times.min(axis=0), (50.0, 99.0), axis=0)  # (2, quantities)
-    road = scenario.name
+    road = runs[0][0].meta["scenario"]
     names = ("control_step", "build_solve_check", "build", "solve", "check")
     texts = ("control step", "build + solve + check", "build", "solve", "check")
     limits = ((250.0, 800.0), (120.0, 600.0), (None, None), (None, None), (None, None))
@@ -201,7 +206,7 @@ def measure_loop(scenario: Scenario, rounds: int = 5, label: str = "") -> tuple[
         for value, percent in zip(quiet[:, j], ("p50", "p99"), strict=True):
             figures.append(Figure(
                 key=f"{label}{names[j]}_quiet_{percent}_us", unit="us", rounds=(value,),
-                text=f"{texts[j]}, {percent}, fastest of all rounds at each instant",
+                text=f"{texts[j]}, {percent}, fastest at each instant",
             ))  # fmt: skip
     figures += [
         Figure(key=f"{label}lap_realtime_factor", text=f"{road} without video, against real time",
@@ -209,7 +214,7 @@ def measure_loop(scenario: Scenario, rounds: int = 5, label: str = "") -> tuple[
         Figure(key=f"{label}lap_cpu_realtime_factor", text="the same by CPU time", unit="x",
                rounds=tuple(cpu), pick="most"),
     ]  # fmt: skip
-    return figures, log
+    return figures
 
 
 # --- video ---
