@@ -343,22 +343,16 @@ def _processes(
             process.start()
             theirs.close()
             workers[mine] = process
-            mine.send(next(waiting))
+            _send(mine, next(waiting), process)
         while workers:
             for connection in wait(list(workers)):
                 assert isinstance(connection, Connection)
-                try:
-                    answer = connection.recv()
-                except EOFError:
-                    code = workers[connection].exitcode
-                    raise LPVMPCError(
-                        f"A worker process died (exit code {code}); --resume goes on from here."
-                    ) from None
+                answer = _answer(connection, workers[connection])
                 if isinstance(answer, Exception):
                     raise answer
                 yield answer
                 following = next(waiting, None)
-                connection.send(following)
+                _send(connection, following, workers[connection])
                 if following is None:
                     workers.pop(connection).join()
     finally:
@@ -366,6 +360,36 @@ def _processes(
             process.terminate()
             process.join()
             connection.close()
+
+
+def _answer(connection: Connection, process: Any) -> Any:
+    """What a worker says.
+
+    Raises:
+        LPVMPCError: It has died.
+    """
+    try:
+        return connection.recv()
+    except (EOFError, ConnectionResetError):
+        raise _dead(process) from None
+
+
+def _send(connection: Connection, shard: int | None, process: Any) -> None:
+    """Send a worker its next shard, or None to end it.
+
+    Raises:
+        LPVMPCError: It has died.
+    """
+    try:
+        connection.send(shard)
+    except (BrokenPipeError, ConnectionResetError):
+        raise _dead(process) from None
+
+
+def _dead(process: Any) -> LPVMPCError:
+    process.join(5.0)
+    code = process.exitcode
+    return LPVMPCError(f"A worker process died (exit code {code}); --resume goes on from here.")
 
 
 def _work(plan: Plan, folder: Path, facts: dict[str, Any], connection: Connection) -> None:

@@ -129,7 +129,7 @@ def _share(rng: np.random.Generator, severity: float, low: float = 0.1) -> float
 
 
 def _times(Ts: float) -> Array:
-    return np.arange(ROWS) * Ts
+    return np.arange(ROWS, dtype=np.float64) * Ts
 
 
 def _open(vx: float, delta: Array, ax: Array | None = None, hold: Array | None = None):

@@ -204,7 +204,7 @@ def _response(s, z, u, V, b, w):
             e += V[j, i] * z[i]
         plus, minus = math.tanh(e + u[j] * s), math.tanh(e - u[j] * s)
         y += w[j] * (plus - minus)
-        slope += w[j] * u[j] * (2.0 - plus * plus - minus * minus)
+        slope += w[j] * u[j] * (2.0 - (plus * plus + minus * minus))
     return 0.5 * y, 0.5 * slope
 
 

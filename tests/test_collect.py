@@ -6,7 +6,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -235,22 +234,13 @@ def test_resuming_with_other_options_is_refused(run, tmp_path, small_shards):
         collect(Plan(samples=300), tmp_path / "s.parquet", resume=True)
 
 
+def die(*arguments):
+    """A worker that the system kills, for want of memory perhaps."""
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
 def test_a_worker_that_dies_is_reported(tmp_path, monkeypatch):
-    def doomed(**options):
-        """A process that is killed as soon as it runs."""
-        process = real.Process(**options)
-        start = process.start
-
-        def start_and_kill():
-            start()
-            process.kill()
-
-        process.start = start_and_kill
-        return process
-
-    real = collection.multiprocessing.get_context("spawn")
-    context = SimpleNamespace(Pipe=real.Pipe, Process=doomed)
-    monkeypatch.setattr(collection.multiprocessing, "get_context", lambda kind: context)
+    monkeypatch.setattr(collection, "_work", die)
     with pytest.raises(LPVMPCError, match="A worker process died.*--resume"):
         collect(Plan(samples=1700), tmp_path / "s.parquet", jobs=2)
 

@@ -52,7 +52,7 @@ def test_the_force_is_odd_in_the_slip(tire):
 
 def test_the_slope_is_the_derivative_of_the_force(tire):
     for axle in (0, 1):
-        for alpha in (0.0, 0.01, 0.04, -0.06):
+        for alpha in (0.0, 0.01, 0.03, -0.03):
             h = 1e-6
             high, low = (tire.axle(axle, alpha + d, 800.0, 0.5, 2000.0)[0] for d in (h, -h))
             # 1e-6: rounding of forces of 1e4 N divided by a step of 1e-6
@@ -381,5 +381,7 @@ def test_the_file_format_is_safetensors(tmp_path):
 def test_the_same_content_gives_the_same_bytes(tmp_path):
     facts = {"b": json.dumps([1]), "a": "2"}
     tensors.write(tmp_path / "1", {"x": np.ones(3), "y": np.zeros(2)}, facts)
-    tensors.write(tmp_path / "2", {"y": np.zeros(2), "x": np.ones(3)}, dict(reversed(facts.items())))
+    tensors.write(
+        tmp_path / "2", {"y": np.zeros(2), "x": np.ones(3)}, dict(reversed(facts.items()))
+    )
     assert (tmp_path / "1").read_bytes() == (tmp_path / "2").read_bytes()
