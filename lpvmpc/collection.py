@@ -38,7 +38,7 @@ ATTEMPTS = 100
 """Runs that may be needed to fill a slot; run numbers are slot * ATTEMPTS + attempt."""
 SHORTEST = 16
 """A run of fewer rows left the domain at once and is not kept."""
-ROW_GROUP = 65536
+ROW_GROUP = 16384
 """Rows that are in memory when shards are merged."""
 
 Progress = Callable[[int], None]

@@ -312,7 +312,7 @@ def _first(error: Exception) -> str:
     return (str(error).strip().splitlines() or [type(error).__name__])[0].rstrip(".")
 
 
-def batches(path: Path, rows: int = 65536) -> Iterator[dict[str, npt.NDArray[Any]]]:
+def batches(path: Path, rows: int = 16384) -> Iterator[dict[str, npt.NDArray[Any]]]:
     """The columns of a checked data file in pieces, so that memory stays flat."""
     with _open(path) as parquet:
         for batch in parquet.iter_batches(rows, columns=list(COLUMNS)):
