@@ -132,8 +132,8 @@ def print_table(covered: Coverage) -> None:
     from rich.table import Table
 
     table = Table(title="Coverage", title_style="bold", title_justify="left", expand=False)
-    table.add_column("manoeuvre")
-    for name in ("runs", "samples", "vx\nm/s", "ax\nm/s2", "|ay|\nm/s2", "|slip| f/r\ndeg",
+    table.add_column("manoeuvre", no_wrap=True)
+    for name in ("runs", "rows", "vx\nm/s", "ax\nm/s2", "|ay|\nm/s2", "slip f/r\ndeg",
                  "soft\n%"):  # fmt: skip
         table.add_column(name, justify="right")
     for name, kind in sorted(covered.kinds.items()):
@@ -143,7 +143,7 @@ def print_table(covered: Coverage) -> None:
             str(kind.runs),
             str(kind.rows),
             f"{kind.vx_min:.0f}-{kind.vx_max:.0f}",
-            f"{kind.ax_min:.1f}..{kind.ax_max:.1f}",
+            f"{kind.ax_min:.0f}..{kind.ax_max:.0f}",
             f"{kind.ay_max:.1f}",
             "/".join(slips),
             f"{100.0 * kind.saturated / kind.rows:.0f}",

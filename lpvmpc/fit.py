@@ -17,6 +17,7 @@ import numpy.typing as npt
 from lpvmpc import network
 from lpvmpc.dataset import Dataset, secant_stiffness
 from lpvmpc.errors import OutputError
+from lpvmpc.secant_network import SecantNetwork
 from lpvmpc.vehicle import Array, VehicleParams
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ def predict(weights: network.Weights, data: Dataset, car: VehicleParams) -> Pred
     """The network's answers, by the code that the controller runs."""
     if weights.kind == "network-secant":
         inputs = np.column_stack([data[name] for name in network.SECANT_INPUTS])
-        return Prediction(network.SecantNetwork(car, weights).stiffness(inputs))
+        return Prediction(SecantNetwork(car, weights).stiffness(inputs))
     samples, n = samples_of(data, car), len(data)
     Fy, slope, slope_zero = (np.empty((n, 2)) for _ in range(3))
     net = network.NetworkTire(car, weights).net

@@ -1,4 +1,4 @@
-"""The learned tires, evaluated without torch: two networks, compiled by numba.
+"""The learned tires, evaluated without torch: compiled by numba; and weights of all networks.
 
 `network` gives each axle's lateral force and its local slope. The slip angle enters as
 s = C0 alpha / D, where D is the friction circle's remainder; the force leaves as D y:
@@ -11,8 +11,8 @@ M is the moment in roll springs and dampers, which shifts load between left and 
 follows the lateral acceleration by a lag that matters in quick manoeuvres.
 
 So the force is odd in the slip angle by construction, and the friction scale f acts by similarity:
-it scales the force at a slip scaled alike. `network-secant` is the paper's: secant stiffness of
-both axles from (vx, vy, delta, ax, r).
+it scales the force at a slip scaled alike. The paper's network is in secant_network.py; the weights
+of both are read here.
 """
 
 from __future__ import annotations
@@ -141,6 +141,17 @@ def _shapes(kind: str, arrays: dict[str, npt.NDArray[Any]]) -> dict[str, tuple[i
     for name in ("x_mean", "x_std", "x_low", "x_high"):
         shapes[name] = (SECANT_SIZES[0],)
     return shapes | {"y_mean": (2,), "y_std": (2,)}
+
+
+def facts(weights: Weights) -> dict[str, Any]:
+    """What the weights say about themselves, for records: texts that hold JSON are decoded."""
+    decoded: dict[str, Any] = {}
+    for key, text in weights.metadata.items():
+        try:
+            decoded[key] = json.loads(text)
+        except ValueError:
+            decoded[key] = text
+    return decoded
 
 
 # The network of forces ---------------------------------------------------------------------------
@@ -410,141 +421,3 @@ class NetworkTire:
         Fy, C, n = axle_force(*values, self.norm, self.net, self._z)
         self.clamped += n
         return Fy, C
-
-
-# The paper's network -----------------------------------------------------------------------------
-
-
-@njit(cache=True)
-def _mlp(x, W0, b0, W1, b1, W2, b2, W3, b3, W4, b4, h, g):
-    """Sigmoid layers and a linear output; h, g are scratch of the widest layer; result in h."""
-    for layer in range(5):
-        if layer == 0:
-            W, b = W0, b0
-        elif layer == 1:
-            W, b = W1, b1
-        elif layer == 2:
-            W, b = W2, b2
-        elif layer == 3:
-            W, b = W3, b3
-        else:
-            W, b = W4, b4
-        for i in range(W.shape[0]):
-            total = b[i]
-            for j in range(W.shape[1]):
-                total += W[i, j] * (x[j] if layer == 0 else h[j])
-            g[i] = total if layer == 4 else 1.0 / (1.0 + math.exp(-total))
-        for i in range(W.shape[0]):
-            h[i] = g[i]
-
-
-@njit(cache=True)
-def secant(x, low, high, mean, std, y_mean, y_std, layers, C0f, C0r, x_in, h, g, out):
-    """Secant stiffness of both axles from one sample of the paper's inputs, in place.
-
-    Inputs are clamped to the trained range, outputs to SLOPE_MIN and SLOPE_MAX of the nominal
-    stiffness.
-
-    Returns:
-        Number of clamped inputs.
-    """
-    clamped = 0
-    for i in range(5):
-        value = min(max(x[i], low[i]), high[i])
-        clamped += value != x[i]
-        x_in[i] = (value - mean[i]) / std[i]
-    _mlp(x_in, *layers, h, g)
-    Cf, Cr = y_mean[0] + y_std[0] * h[0], y_mean[1] + y_std[1] * h[1]
-    out[0] = min(max(Cf, SLOPE_MIN * C0f), SLOPE_MAX * C0f)
-    out[1] = min(max(Cr, SLOPE_MIN * C0r), SLOPE_MAX * C0r)
-    return clamped
-
-
-@njit(cache=True)
-def secant_along(
-    x, Ts, car, m_eff, brake_front, inertia, scaling, layers, C0f, C0r, sample, x_in, h, g, pair,
-    tires,
-):  # fmt: skip
-    """Secant stiffness in the middle of each interval of a prediction, in place; see `along`."""
-    low, high, mean, std, y_mean, y_std = scaling
-    clamped = 0
-    for k in range(tires.shape[0]):
-        vx = max(0.5 * (x[k, VX] + x[k + 1, VX]), car.vx_min)
-        r, delta = 0.5 * (x[k, R] + x[k + 1, R]), 0.5 * (x[k, DELTA] + x[k + 1, DELTA])
-        ay = vx * r + (x[k + 1, VY] - x[k, VY]) / Ts
-        a = 0.5 * (x[k, A] + x[k + 1, A])
-        ax, _, _ = longitudinal(a, vx, delta, ay, car, m_eff, brake_front, inertia)
-        sample[0], sample[1] = vx, 0.5 * (x[k, VY] + x[k + 1, VY])
-        sample[2], sample[3], sample[4] = delta, ax, r
-        clamped += secant(
-            sample, low, high, mean, std, y_mean, y_std, layers, C0f, C0r, x_in, h, g, pair
-        )
-        tires[k, 0], tires[k, 1], tires[k, 2], tires[k, 3] = pair[0], 0.0, pair[1], 0.0
-    return clamped
-
-
-class SecantNetwork:
-    """Stiffness model `network-secant`: the paper's network, F0 = 0."""
-
-    name = "network-secant"
-
-    def __init__(
-        self,
-        car: VehicleParams,
-        weights: Weights | None = None,
-        *,
-        formulation_bicycle: bicycle.Bicycle | None = None,
-        Ts: float = 0.033,
-    ) -> None:
-        """Args: as of `NetworkTire`."""
-        weights = load_weights("network-secant") if weights is None else weights
-        if weights.kind != "network-secant":
-            raise OptionError("weights", weights.kind, "weights of a 'network-secant'")
-        self.weights = weights
-        w = {name: np.ascontiguousarray(v, np.float64) for name, v in weights.arrays.items()}
-        self.layers = tuple(w[f"{name}{i}"] for i in range(5) for name in ("W", "b"))
-        self.scaling = tuple(
-            w[name] for name in ("x_low", "x_high", "x_mean", "x_std", "y_mean", "y_std")
-        )
-        self.car = bicycle.Bicycle.of(car) if formulation_bicycle is None else formulation_bicycle
-        self.Ts = Ts
-        self._nominal = (car.Cf, car.Cr)
-        self._spin = (car.m_eff, car.brake_front, 2.0 * car.J_w / car.R_w**2)
-        self._scratch = (np.zeros(5), np.zeros(5), np.zeros(28), np.zeros(28), np.zeros(2))
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget the run so far."""
-        self.clamped = 0
-        """Number of inputs that lay outside the trained range since the last reset."""
-
-    def horizon(self, state: State, prediction: Array, tires: Array) -> None:
-        """See `stiffness.StiffnessModel.horizon`."""
-        self.clamped += secant_along(
-            prediction, self.Ts, self.car, *self._spin, self.scaling, self.layers, *self._nominal,
-            *self._scratch, tires,
-        )  # fmt: skip
-
-    def stiffness(self, inputs: npt.ArrayLike) -> Array:
-        """Secant stiffness (Cf, Cr) [N/rad] of samples (vx, vy, delta, ax, r), shape (n, 5)."""
-        samples = np.ascontiguousarray(np.atleast_2d(np.asarray(inputs, np.float64)))
-        if samples.shape[1] != 5 or not np.isfinite(samples).all():
-            raise LPVMPCError("The inputs of the network must be finite, of shape (n, 5).")
-        out = np.empty((len(samples), 2))
-        _, x_in, h, g, _ = self._scratch
-        for sample, pair in zip(samples, out, strict=True):
-            self.clamped += secant(
-                sample, *self.scaling, self.layers, *self._nominal, x_in, h, g, pair
-            )
-        return out
-
-
-def facts(weights: Weights) -> dict[str, Any]:
-    """What the weights say about themselves, for records: texts that hold JSON are decoded."""
-    decoded: dict[str, Any] = {}
-    for key, text in weights.metadata.items():
-        try:
-            decoded[key] = json.loads(text)
-        except ValueError:
-            decoded[key] = text
-    return decoded
