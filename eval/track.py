@@ -56,7 +56,9 @@ class Options:
     """paper, paper-loop, double-lane-change, skidpad, slalom, circuit, or your own FILE.csv."""
     controller: str = "lpv-mpc"
     """lpv-mpc, lpv-mpc-paper, or your own module:Class."""
-    stiffness: Literal["constant", "network", "oracle", "oracle-secant"] = "constant"
+    stiffness: Literal["constant", "network", "network-secant", "oracle", "oracle-secant"] = (
+        "constant"
+    )
     """What the LPV-MPC knows of its tires; an oracle is told the plant's own."""
     wind_scale: float = 1.0
     """Factor on the scenario's wind speed."""

@@ -39,12 +39,13 @@ class Controller(Protocol):
 
 
 STIFFNESS_MODELS = {
-    "constant": "ConstantStiffness",
-    "network": "NetworkStiffness",
-    "oracle": "OracleStiffness",
-    "oracle-secant": "SecantOracle",
+    "constant": ("stiffness", "ConstantStiffness"),
+    "network": ("stiffness", "NetworkStiffness"),
+    "network-secant": ("secant_network", "SecantNetwork"),
+    "oracle": ("stiffness", "OracleStiffness"),
+    "oracle-secant": ("stiffness", "SecantOracle"),
 }
-"""Stiffness models by name: classes of stiffness.py, made from the car."""
+"""Stiffness models by name: module and class, made from the car."""
 
 
 def _lpv_mpc(**options: Any) -> Controller:
@@ -67,11 +68,12 @@ def _with_stiffness(options: dict[str, Any]) -> dict[str, Any]:
         return options
     if name not in STIFFNESS_MODELS:
         raise UnknownNameError("stiffness model", name, STIFFNESS_MODELS)
-    from lpvmpc import stiffness
     from lpvmpc.vehicle import VehicleParams
 
+    module, model = STIFFNESS_MODELS[name]
     car = options.get("car") or VehicleParams.load()
-    return {**options, "car": car, "stiffness": getattr(stiffness, STIFFNESS_MODELS[name])(car)}
+    made = getattr(import_module(f"lpvmpc.{module}"), model)(car)
+    return {**options, "car": car, "stiffness": made}
 
 
 CONTROLLERS: dict[str, Callable[..., Controller]] = {
@@ -95,9 +97,7 @@ def load_controller(name: str, **options: Any) -> Controller:
     """
     if ":" not in name:
         if name not in CONTROLLERS:
-            raise UnknownNameError(
-                "controller", name, [*CONTROLLERS, "module:Class (your own)"]
-            )
+            raise UnknownNameError("controller", name, [*CONTROLLERS, "module:Class (your own)"])
         return CONTROLLERS[name](**options)
     module_name, _, class_name = name.partition(":")
     if os.getcwd() not in sys.path:  # a script has its own folder there, not the current one
