@@ -1,3 +1,4 @@
+import importlib.util
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -6,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from lpvmpc import cli
 from lpvmpc.path import Path as Road
 from lpvmpc.plant import Wheels
 from lpvmpc.scenario import Scenario
@@ -32,6 +34,30 @@ def plant():
     from lpvmpc.plant import Plant
 
     return Plant()
+
+
+@pytest.fixture(scope="module")
+def script(request):
+    """The script that a test module names as SCRIPT, as a module."""
+    path = request.module.SCRIPT
+    spec = importlib.util.spec_from_file_location(f"{path.stem}_script", path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def run(script, tmp_path, monkeypatch, capsys):
+    """Runs the script in an empty folder: (exit code, stdout, stderr)."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments):
+        code = cli.run(script.Options, script.main, [str(a) for a in arguments])
+        output = capsys.readouterr()
+        return code, output.out, output.err
+
+    return call
 
 
 class PointPlant:

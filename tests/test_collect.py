@@ -1,4 +1,3 @@
-import importlib.util
 import os
 import shutil
 import signal
@@ -10,34 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lpvmpc import cli, collection, coverage, dataset
+from lpvmpc import collection, coverage, dataset
 from lpvmpc.collection import Plan, collect
 from lpvmpc.errors import DataError, LPVMPCError, OptionError, OutputError
 
 SCRIPT = Path(__file__).parents[1] / "data_gen" / "collect.py"
-
-
-@pytest.fixture(scope="module")
-def script():
-    """The script data_gen/collect.py as a module."""
-    spec = importlib.util.spec_from_file_location("collect_script", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["collect_script"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-@pytest.fixture
-def run(script, tmp_path, monkeypatch, capsys):
-    """Runs the script in an empty folder: (exit code, stdout, stderr)."""
-    monkeypatch.chdir(tmp_path)
-
-    def call(*arguments):
-        code = cli.run(script.Options, script.main, [str(a) for a in arguments])
-        output = capsys.readouterr()
-        return code, output.out, output.err
-
-    return call
 
 
 @pytest.fixture

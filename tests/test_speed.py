@@ -1,27 +1,16 @@
 import csv
-import importlib.util
 import json
 import os
-import sys
 from pathlib import Path
 
 import pytest
 
-from lpvmpc import cli, native, speed, speed_processes
+from lpvmpc import native, speed, speed_processes
 from lpvmpc.errors import RenderError
 from lpvmpc.plant import Plant
 from lpvmpc.speed import Figure
 
-
-@pytest.fixture(scope="module")
-def script():
-    """The script eval/speed.py as a module."""
-    file = Path(__file__).parents[1] / "eval" / "speed.py"
-    spec = importlib.util.spec_from_file_location("speed_script", file)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["speed_script"] = module
-    spec.loader.exec_module(module)
-    return module
+SCRIPT = Path(__file__).parents[1] / "eval" / "speed.py"
 
 
 @pytest.fixture
@@ -35,19 +24,6 @@ def short(monkeypatch):
         raise RenderError("no OpenGL")
 
     monkeypatch.setattr(speed, "measure_frame", no_picture)
-
-
-@pytest.fixture
-def run(script, tmp_path, monkeypatch, capsys):
-    """Runs the script in an empty folder: (exit code, stdout, stderr)."""
-    monkeypatch.chdir(tmp_path)
-
-    def call(*arguments):
-        code = cli.run(script.Options, script.main, [str(a) for a in arguments])
-        output = capsys.readouterr()
-        return code, output.out, output.err
-
-    return call
 
 
 def figure(rounds, pick="least", limit=None):

@@ -1,4 +1,3 @@
-import importlib.util
 import os
 import signal
 import subprocess
@@ -10,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lpvmpc import cli, collection, dataset, fit, network, tensors
+from lpvmpc import collection, dataset, fit, network, tensors
 from lpvmpc.errors import DataError, LPVMPCError, OptionError
 
 torch = pytest.importorskip("torch")
@@ -36,29 +35,6 @@ def data(file):
 @pytest.fixture(scope="module")
 def car(plant):
     return plant.params
-
-
-@pytest.fixture(scope="module")
-def script():
-    """The script data_gen/train.py as a module."""
-    spec = importlib.util.spec_from_file_location("train_script", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["train_script"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-@pytest.fixture
-def run(script, tmp_path, monkeypatch, capsys):
-    """Runs the script in an empty folder: (exit code, stdout, stderr)."""
-    monkeypatch.chdir(tmp_path)
-
-    def call(*arguments):
-        code = cli.run(script.Options, script.main, [str(a) for a in arguments])
-        output = capsys.readouterr()
-        return code, output.out, output.err
-
-    return call
 
 
 def subset(data, mask):
