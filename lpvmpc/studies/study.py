@@ -1,0 +1,249 @@
+"""The frame of the fidelity studies: the car under test, limits, findings, results, the list.
+
+A study is a module of this package with one function `run(car: CarUnderTest) -> StudyResult`. It
+takes every plant from the car, which may be broken on purpose, and every expectation from the
+documented car: `car.params` and `car.tires` are those of the packaged models/vehicle.xml.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from lpvmpc.errors import UnknownNameError
+from lpvmpc.model import compile_model, parameters, tires
+from lpvmpc.plant import Plant
+from lpvmpc.vehicle import Array, VehicleParams
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+STUDIES = {
+    "tire": "Tire: slip characteristics",
+    "static": "Static: mass, loads, rest, suspension",
+    "straight": "Straight line: resistances, acceleration, braking",
+    "steady-state": "Steady state: circular driving (ISO 4138)",
+    "transient": "Transient: lateral response (ISO 7401)",
+    "lane-change": "Lane changes (ISO 3888-1, 3888-2)",
+    "load-transfer": "Load transfer and roll",
+    "numerics": "Numerics: convergence, chatter, energy",
+    "cross-model": "Cross-model: single track, CommonRoad multibody",
+    "wind": "Wind: side wind and gusts",
+}
+"""Studies in the order of the report: name on the command line and title. The module of a study is
+its name with underscores."""
+
+
+@dataclass(frozen=True)
+class Limit:
+    """What a figure must be: an interval, both ends allowed. A value that is NaN never passes."""
+
+    low: float
+    """Smallest allowed value, -inf for none."""
+    high: float
+    """Largest allowed value, inf for none."""
+    text: str
+    """The interval as it is printed."""
+
+    def __post_init__(self) -> None:
+        """An empty interval is our own mistake."""
+        assert self.low <= self.high, self
+
+    def allows(self, value: float) -> bool:
+        """Whether the value lies inside."""
+        return bool(self.low <= value <= self.high)
+
+    @classmethod
+    def at_most(cls, high: float) -> Limit:
+        """No more than this."""
+        return cls(-math.inf, float(high), f"<= {high:.4g}")
+
+    @classmethod
+    def at_least(cls, low: float) -> Limit:
+        """No less than this."""
+        return cls(float(low), math.inf, f">= {low:.4g}")
+
+    @classmethod
+    def between(cls, low: float, high: float) -> Limit:
+        """An interval."""
+        return cls(float(low), float(high), f"{low:.4g} to {high:.4g}")
+
+    @classmethod
+    def near(cls, expected: float, tolerance: float) -> Limit:
+        """An expected value, and how far off it may be, in its unit."""
+        text = f"{expected:.4g} +- {tolerance:.3g}"
+        return cls(float(expected - tolerance), float(expected + tolerance), text)
+
+    @classmethod
+    def percent(cls, expected: float, percent: float) -> Limit:
+        """An expected value, and how far off it may be, in percent of it."""
+        off = abs(expected) * percent / 100.0
+        text = f"{expected:.4g} +- {percent:g} %"
+        return cls(float(expected - off), float(expected + off), text)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One measured figure with its limit; the verdict follows from the two."""
+
+    study: str
+    """Name of the study, as on the command line."""
+    figure: str
+    """What was measured, in at most about 40 characters."""
+    value: float
+    """The measured value."""
+    unit: str
+    """Its unit; empty for a pure number."""
+    limit: Limit
+    """What it must be."""
+    why: str
+    """Where the limit comes from, in one line; never from the result."""
+
+    @property
+    def ok(self) -> bool:
+        """The verdict."""
+        return self.limit.allows(self.value)
+
+
+@dataclass(frozen=True)
+class Table:
+    """Numbers for the report, written as Markdown and as CSV."""
+
+    name: str
+    """Part of the file name, in lower case with hyphens."""
+    caption: str
+    """One line above the table."""
+    header: Sequence[str]
+    """Names of the columns with their units."""
+    rows: Sequence[Sequence[object]]
+    """Cells; numbers are printed with four digits."""
+
+
+@dataclass(frozen=True)
+class Series:
+    """The numbers behind a picture, written as CSV only."""
+
+    name: str
+    """Part of the file name, in lower case with hyphens."""
+    columns: dict[str, npt.ArrayLike]
+    """Column by name (with the unit, as in `ay_mps2`), all of one length."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A matplotlib figure; who writes the report saves it."""
+
+    name: str
+    """Part of the file name, in lower case with hyphens."""
+    caption: str
+    """What it shows, one or two sentences."""
+    figure: Figure
+    """Made by a function under `plots.styled`."""
+
+
+@dataclass
+class StudyResult:
+    """What a study found."""
+
+    study: str
+    """Name of the study, as on the command line."""
+    method: str = ""
+    """Definitions, sources and limits of validity, in Markdown."""
+    findings: list[Finding] = field(default_factory=list)
+    """Figures with limits and verdicts."""
+    tables: list[Table] = field(default_factory=list)
+    """Further numbers, without verdict."""
+    series: list[Series] = field(default_factory=list)
+    """Numbers behind the pictures."""
+    pictures: list[Picture] = field(default_factory=list)
+    """Plots."""
+
+    @property
+    def title(self) -> str:
+        """Title of the study."""
+        return STUDIES[self.study]
+
+    @property
+    def ok(self) -> bool:
+        """Whether every figure is inside its limit."""
+        return all(finding.ok for finding in self.findings)
+
+    def find(self, figure: str, value: float, unit: str, limit: Limit, why: str) -> None:
+        """Add a figure.
+
+        Args:
+            figure: What was measured, in at most about 40 characters.
+            value: The measured value.
+            unit: Its unit; empty for a pure number.
+            limit: What it must be.
+            why: Where the limit comes from.
+        """
+        self.findings.append(Finding(self.study, figure, float(value), unit, limit, why))
+
+
+@dataclass(frozen=True, kw_only=True)
+class CarUnderTest:
+    """Where a study gets its plants, and what it may expect of them.
+
+    The plants may be broken on purpose (`studies.broken`); the expectations are always those of
+    the documented car. So a study must not take an expectation from `plant.params`.
+    """
+
+    model: mujoco.MjModel
+    """The compiled car that the plants simulate."""
+    params: VehicleParams
+    """Parameters of the documented car."""
+    tires: tuple[Array, Array]
+    """Magic Formula coefficients of the documented front and rear tires."""
+    plant_class: Callable[..., Plant] = Plant
+    """`Plant`, or a subclass that steps otherwise."""
+
+    @classmethod
+    def packaged(cls) -> CarUnderTest:
+        """The car of models/vehicle.xml."""
+        model = compile_model(visual=False)
+        return cls(model=model, params=parameters(model), tires=tires(model))
+
+    def plant(self, **options: Any) -> Plant:
+        """A new plant, at rest.
+
+        Args:
+            **options: those of `Plant`: friction, Ts, timestep.
+        """
+        return self.plant_class(self.model, **options)
+
+    def plant_tires(self) -> tuple[Array, Array]:
+        """Coefficients of the tires on the plants' model, front and rear: what is to be tested."""
+        return tires(self.model)
+
+
+Run = Callable[[CarUnderTest], StudyResult]
+
+
+def load_study(name: str) -> Run:
+    """The function of a study.
+
+    Args:
+        name: One of `STUDIES`.
+
+    Raises:
+        UnknownNameError: There is no such study; the message lists those there are.
+    """
+    if name not in STUDIES:
+        raise UnknownNameError("study", name, STUDIES)
+    module = importlib.import_module(f"lpvmpc.studies.{name.replace('-', '_')}")
+    run: Run = module.run
+    return run
+
+
+def relative_error(value: npt.ArrayLike, expected: npt.ArrayLike) -> float:
+    """Largest |value - expected| / |expected| [-]."""
+    value, expected = np.asarray(value, dtype=float), np.asarray(expected, dtype=float)
+    return float(np.max(np.abs(value - expected) / np.abs(expected)))
