@@ -42,8 +42,8 @@ RESOLUTION = 2.0**-20
 """Resolution of the commands on driven laps [rad, m/s2]: a millionth."""
 LAP_TRACKS = ("tuning-a", "tuning-b")
 """Tracks of the driven laps: never the ones that results are reported on."""
-LAP_CONTROLLERS = ("lpv-mpc", "lpv-mpc-paper")
-"""Controllers of the driven laps."""
+LAP_FORMULATIONS = ("full", "paper")
+"""Controllers of the driven laps: the LPV-MPC in full, and in the paper's plain formulation."""
 
 
 class Row(NamedTuple):
@@ -266,7 +266,7 @@ def lap(rng, car, friction, severity, Ts):
     from lpvmpc.speed_profile import SpeedProfile
 
     path, s, vx, straight = _track(LAP_TRACKS[int(rng.integers(len(LAP_TRACKS)))])
-    driver = _controller(LAP_CONTROLLERS[int(rng.integers(len(LAP_CONTROLLERS)))])
+    driver = _controller(LAP_FORMULATIONS[int(rng.integers(len(LAP_FORMULATIONS)))])
     share = rng.uniform(0.4, max(1.05 * severity, 0.5))
     speed = SpeedProfile.from_knots(s, np.minimum(vx * math.sqrt(share * friction), 28.0), path)
     begin = float(straight[int(rng.integers(len(straight)))])
@@ -289,9 +289,15 @@ def _track(name: str) -> tuple[Path, Array, Array, Array]:
 
 @cache
 def _controller(name: str) -> Controller:
-    from lpvmpc.controllers import load_controller
+    """One of `LAP_FORMULATIONS`, with weights set by hand and constant stiffness.
 
-    return load_controller(name)
+    So the data change neither when the controllers are tuned nor when a network is trained.
+    """
+    from lpvmpc.mpc import LPVMPC, PAPER, PAPER_WEIGHTS, Weights
+
+    if name == "paper":
+        return LPVMPC(formulation=PAPER, weights=PAPER_WEIGHTS)
+    return LPVMPC(weights=Weights())
 
 
 KINDS: dict[str, Draw] = {
