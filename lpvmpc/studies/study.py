@@ -96,7 +96,7 @@ class Finding:
     study: str
     """Name of the study, as on the command line."""
     figure: str
-    """What was measured, in at most about 40 characters."""
+    """What was measured, in at most 38 characters: the table is printed at 80 columns."""
     value: float
     """The measured value."""
     unit: str
@@ -105,6 +105,11 @@ class Finding:
     """What it must be."""
     why: str
     """Where the limit comes from, in one line; never from the result."""
+
+    def __post_init__(self) -> None:
+        """What does not fit the table is our own mistake."""
+        assert len(self.figure) <= 38, self.figure
+        assert len(self.unit) <= 8, self.unit
 
     @property
     def ok(self) -> bool:
@@ -179,9 +184,9 @@ class StudyResult:
         """Add a figure.
 
         Args:
-            figure: What was measured, in at most about 40 characters.
+            figure: What was measured, in at most 38 characters.
             value: The measured value.
-            unit: Its unit; empty for a pure number.
+            unit: Its unit, in at most 8 characters; empty for a pure number.
             limit: What it must be.
             why: Where the limit comes from.
         """
