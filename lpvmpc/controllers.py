@@ -16,15 +16,17 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import fields, replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol
 
-from lpvmpc.errors import ControllerError, LPVMPCError, UnknownNameError
+from lpvmpc.errors import ControllerError, LPVMPCError, OptionError, UnknownNameError
 from lpvmpc.vehicle import Command, State
 
 if TYPE_CHECKING:
     import numpy as np
 
+    from lpvmpc.mpc import Formulation
     from lpvmpc.path import Preview
 
 
@@ -49,23 +51,27 @@ STIFFNESS_MODELS = {
 
 
 def _lpv_mpc(**options: Any) -> Controller:
-    from lpvmpc.mpc import LPVMPC
+    from lpvmpc.mpc import LPVMPC, Formulation
 
-    return LPVMPC(**_with_stiffness(options))
+    return LPVMPC(**_with_formulation(_with_stiffness(options), Formulation()))
 
 
 def _lpv_mpc_paper(**options: Any) -> Controller:
     from lpvmpc.mpc import LPVMPC, PAPER, PAPER_WEIGHTS
 
     defaults = {"formulation": PAPER, "weights": PAPER_WEIGHTS}
-    return LPVMPC(**{**defaults, **_with_stiffness(options)})
+    return LPVMPC(**{**defaults, **_with_formulation(_with_stiffness(options), PAPER)})
 
 
 def _with_stiffness(options: dict[str, Any]) -> dict[str, Any]:
-    """The options with the stiffness model in place of its name."""
+    """The options with the stiffness model in place of its name and of what makes it wrong."""
+    options = dict(options)
+    scale, noise = options.pop("stiffness_scale", 1.0), options.pop("stiffness_noise", 0.0)
     name = options.get("stiffness")
     if not isinstance(name, str):
-        return options
+        if (scale, noise) == (1.0, 0.0):
+            return options
+        raise OptionError("stiffness", name, "a name where stiffness_scale or _noise is given")
     if name not in STIFFNESS_MODELS:
         raise UnknownNameError("stiffness model", name, STIFFNESS_MODELS)
     from lpvmpc.vehicle import VehicleParams
@@ -73,12 +79,58 @@ def _with_stiffness(options: dict[str, Any]) -> dict[str, Any]:
     module, model = STIFFNESS_MODELS[name]
     car = options.get("car") or VehicleParams.load()
     made = getattr(import_module(f"lpvmpc.{module}"), model)(car)
+    if (scale, noise) != (1.0, 0.0):
+        from lpvmpc.perturbed import PerturbedStiffness
+
+        made = PerturbedStiffness(made, scale=scale, noise=noise)
     return {**options, "car": car, "stiffness": made}
+
+
+def _with_formulation(options: dict[str, Any], default: Formulation) -> dict[str, Any]:
+    """The options with a formulation in place of a dictionary of what differs from the default."""
+    given = options.get("formulation")
+    if not isinstance(given, dict):
+        return options
+    known = [f.name for f in fields(default)]
+    for name in given:
+        if name not in known:
+            raise UnknownNameError("part of the formulation", name, known)
+    return {**options, "formulation": replace(default, **given)}
+
+
+def _lmpc_pso_pid(**options: Any) -> Controller:
+    from lpvmpc.baselines import LMPC
+
+    return LMPC(**_without_stiffness("lmpc-pso-pid", options))
+
+
+def _stanley(**options: Any) -> Controller:
+    from lpvmpc.baselines import Stanley
+
+    return Stanley(**_without_stiffness("stanley", options))
+
+
+def _pure_pursuit(**options: Any) -> Controller:
+    from lpvmpc.baselines import PurePursuit
+
+    return PurePursuit(**_without_stiffness("pure-pursuit", options))
+
+
+def _without_stiffness(name: str, options: dict[str, Any]) -> dict[str, Any]:
+    """The options for a controller that adapts nothing; asking it to is a mistake."""
+    options = dict(options)
+    stiffness = options.pop("stiffness", None)
+    if stiffness not in (None, "constant"):
+        raise OptionError("stiffness", stiffness, f"left out for {name}, which adapts to nothing")
+    return options
 
 
 CONTROLLERS: dict[str, Callable[..., Controller]] = {
     "lpv-mpc": _lpv_mpc,
     "lpv-mpc-paper": _lpv_mpc_paper,
+    "lmpc-pso-pid": _lmpc_pso_pid,
+    "stanley": _stanley,
+    "pure-pursuit": _pure_pursuit,
 }
 """Makers of the controllers by name; each imports what it needs when it is called."""
 
@@ -89,7 +141,9 @@ def load_controller(name: str, **options: Any) -> Controller:
     Args:
         name: One of `CONTROLLERS`, or `module:Class` where the module is found from the current
             directory or PYTHONPATH and the class is made without arguments.
-        options: Arguments for the makers in `CONTROLLERS`; the stiffness model may be named.
+        options: Arguments for the makers in `CONTROLLERS`; the stiffness model may be named, and
+            made wrong by `stiffness_scale` and `stiffness_noise` (see `perturbed`); a formulation
+            may be a dictionary of what differs from the default.
 
     Raises:
         UnknownNameError: No such name.
