@@ -66,12 +66,14 @@ def _lpv_mpc_paper(**options: Any) -> Controller:
 def _with_stiffness(options: dict[str, Any]) -> dict[str, Any]:
     """The options with the stiffness model in place of its name and of what makes it wrong."""
     options = dict(options)
-    scale, noise = options.pop("stiffness_scale", 1.0), options.pop("stiffness_noise", 0.0)
+    parts = ("scale", "noise", "seed")
+    wrong = {k: options.pop(f"stiffness_{k}") for k in parts if f"stiffness_{k}" in options}
     name = options.get("stiffness")
     if not isinstance(name, str):
-        if (scale, noise) == (1.0, 0.0):
+        if not wrong:
             return options
-        raise OptionError("stiffness", name, "a name where stiffness_scale or _noise is given")
+        given = ", ".join(f"stiffness_{part}" for part in wrong)
+        raise OptionError("stiffness", name, f"a model by name, since {given} is given")
     if name not in STIFFNESS_MODELS:
         raise UnknownNameError("stiffness model", name, STIFFNESS_MODELS)
     from lpvmpc.vehicle import VehicleParams
@@ -79,10 +81,10 @@ def _with_stiffness(options: dict[str, Any]) -> dict[str, Any]:
     module, model = STIFFNESS_MODELS[name]
     car = options.get("car") or VehicleParams.load()
     made = getattr(import_module(f"lpvmpc.{module}"), model)(car)
-    if (scale, noise) != (1.0, 0.0):
+    if wrong:
         from lpvmpc.perturbed import PerturbedStiffness
 
-        made = PerturbedStiffness(made, scale=scale, noise=noise)
+        made = PerturbedStiffness(made, **wrong)
     return {**options, "car": car, "stiffness": made}
 
 
@@ -142,8 +144,8 @@ def load_controller(name: str, **options: Any) -> Controller:
         name: One of `CONTROLLERS`, or `module:Class` where the module is found from the current
             directory or PYTHONPATH and the class is made without arguments.
         options: Arguments for the makers in `CONTROLLERS`; the stiffness model may be named, and
-            made wrong by `stiffness_scale` and `stiffness_noise` (see `perturbed`); a formulation
-            may be a dictionary of what differs from the default.
+            made wrong by `stiffness_scale`, `stiffness_noise` and `stiffness_seed` (see
+            `perturbed`); a formulation may be a dictionary of what differs from the default.
 
     Raises:
         UnknownNameError: No such name.

@@ -44,6 +44,8 @@ class PerturbedStiffness:
         ):  # fmt: skip
             if not low <= value <= high:  # NaN fails it too
                 raise OptionError(name, value, f"a number from {low:g} to {high:g}")
+        if type(seed) is not int or seed < 0:
+            raise OptionError("stiffness seed", seed, "a whole number from 0")
         self.model, self.scale, self.noise, self.seed = model, scale, noise, seed
         self.name = model.name + (f" x{scale:g}" if scale != 1.0 else "")
         if noise:
