@@ -55,11 +55,14 @@ class Options:
     scenario: str = "paper"
     """paper, paper-loop, double-lane-change, skidpad, slalom, circuit, or your own FILE.csv."""
     controller: str = "lpv-mpc"
-    """lpv-mpc, lpv-mpc-paper, or your own module:Class."""
-    stiffness: Literal["constant", "network", "network-secant", "oracle", "oracle-secant"] = (
-        "constant"
-    )
-    """What the LPV-MPC knows of its tires; an oracle is told the plant's own."""
+    """lpv-mpc, lpv-mpc-paper, lmpc-pso-pid, stanley, pure-pursuit, or your own module:Class."""
+    stiffness: Annotated[
+        Literal["constant", "network", "network-secant", "oracle", "oracle-secant"] | None,
+        tyro.conf.arg(metavar="NAME"),
+    ] = None
+    """What the LPV-MPC knows of its tires: constant, network, network-secant (the paper's), or
+    oracle, oracle-secant, which are told the plant's own (default: network, and constant for
+    lpv-mpc-paper)."""
     wind_scale: float = 1.0
     """Factor on the scenario's wind speed."""
     friction: float = 1.0
@@ -82,6 +85,8 @@ class Options:
     """Treat a CSV track as closed (default: decided by its ends)."""
     no_closed: bool = False
     """Treat a CSV track as open."""
+    weights: File = None
+    """Weights of the controller, a TOML file as eval/tune.py writes it (default: the package's)."""
     delay: int = 0
     """Control periods after which a command reaches the car."""
     step_timeout: Number = None
@@ -99,9 +104,9 @@ def main(options: Options) -> int:
 
     scenario = load_scenario(options.scenario, **scenario_options(options))
     own = ":" in options.controller
-    known = {} if own else {"delay": options.delay, "stiffness": options.stiffness}
-    controller = load_controller(options.controller, **known)
+    controller = load_controller(options.controller, **controller_options(options, own))
     plant = Plant()
+    warn_of_another_car(controller, plant)
     name = re.sub(r"[^\w.-]+", "-", f"{scenario.name}-{options.controller}")
     if scenario.path.largest_shift > 0.0:
         print(f"Road: {scenario.source}")
@@ -121,7 +126,7 @@ def main(options: Options) -> int:
             step_timeout=options.step_timeout or (USER_TIMEOUT if own else None),
             progress=progress,
             name=options.controller,
-            options={**scenario_options(options), "stiffness": options.stiffness},
+            options=scenario_options(options),
         )
     result = metrics(log)
     print_table(result, log)
@@ -157,6 +162,37 @@ def scenario_options(options: Options) -> dict[str, Any]:
         "grip": options.grip,
         "closed": True if options.closed else False if options.no_closed else None,
     }
+
+
+def controller_options(options: Options, own: bool) -> dict[str, Any]:
+    """What a shipped controller is made with; a user's own is made without arguments."""
+    if own:
+        for name, value in (("--weights", options.weights), ("--stiffness", options.stiffness)):
+            if value is not None:
+                raise LPVMPCError(f"{name} is {str(value)!r}, but the controller "
+                                  f"{options.controller!r} is your own: it has only what its "
+                                  "constructor sets.")  # fmt: skip
+        return {}
+    from lpvmpc.weights_file import read_weights
+
+    known: dict[str, Any] = {"delay": options.delay, "stiffness": options.stiffness}
+    if options.weights is not None:
+        known["weights"] = read_weights(options.weights, options.controller)
+    return known
+
+
+def warn_of_another_car(controller: Any, plant: Plant) -> None:
+    """A line on stderr where the network was trained on another vehicle.xml than the one driven."""
+    kind = getattr(getattr(controller, "stiffness", None), "name", None)
+    if kind not in ("network", "network-secant"):
+        return
+    from lpvmpc.network import load_weights
+
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        load_weights(kind, model=plant.model)
+    for warning in caught:
+        print(f"Warning: {warning.message}", file=sys.stderr)
 
 
 def forget_last_run(out: Path) -> None:
@@ -267,7 +303,13 @@ def save(options: Options, log: Log, result: dict[str, Any], out: Path) -> bool:
         except KeyboardInterrupt:  # the figures are given up, the measurements are not
             whole = False
     given = {k: str(v) if isinstance(v, Path) else v for k, v in asdict(options).items()}
-    record = {"options": given, "weights": log.weights, "commit": commit(), "machine": machine()}
+    record = {
+        "options": given,
+        "weights": log.weights,
+        "clamped_inputs": log.meta["clamped_inputs"],
+        "commit": commit(),
+        "machine": machine(),
+    }
     if options.json is not None:
         write_json(options.json, result)
     write_json(out / "metrics.json", {**result, "record": record})
@@ -341,6 +383,8 @@ def rows(result: dict[str, Any], log: Log) -> Iterator[tuple[str, str, str]]:
         solve = log.timing["solve_us"]
         yield "QPs solved / fallbacks", f"{qp['solved']} / {qp['fallback']}", ""
         yield "QP solve time, mean", f"{solve.mean() / 1e3:.3f} ms", f"{PAPER_SOLVE_MS:.1f} ms"
+    if log.meta["clamped_inputs"] is not None:
+        yield "network inputs outside the trained range", f"{log.meta['clamped_inputs']}", ""
     if step["p50"] is not None:
         yield "control step, median", f"{step['p50'] / 1e3:.3f} ms", ""
         yield "control step, 99th percentile", f"{step['p99'] / 1e3:.3f} ms", ""

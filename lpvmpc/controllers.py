@@ -58,9 +58,11 @@ def _lpv_mpc(**options: Any) -> Controller:
 
 def _lpv_mpc_paper(**options: Any) -> Controller:
     from lpvmpc.mpc import LPVMPC, PAPER, PAPER_WEIGHTS
+    from lpvmpc.weights_file import chosen
 
-    defaults = {"formulation": PAPER, "weights": PAPER_WEIGHTS}
-    return LPVMPC(**{**defaults, **_with_formulation(_with_stiffness(options), PAPER)})
+    options["stiffness"] = options.get("stiffness") or "constant"
+    options["weights"] = chosen("lpv-mpc-paper", options.get("weights"), PAPER_WEIGHTS)
+    return LPVMPC(**{"formulation": PAPER, **_with_formulation(_with_stiffness(options), PAPER)})
 
 
 def _with_stiffness(options: dict[str, Any]) -> dict[str, Any]:

@@ -294,10 +294,12 @@ def _controller(name: str) -> Controller:
     So the data change neither when the controllers are tuned nor when a network is trained.
     """
     from lpvmpc.mpc import LPVMPC, PAPER, PAPER_WEIGHTS, Weights
+    from lpvmpc.stiffness import ConstantStiffness
 
+    stiffness = ConstantStiffness(VehicleParams.load())
     if name == "paper":
-        return LPVMPC(formulation=PAPER, weights=PAPER_WEIGHTS)
-    return LPVMPC(weights=Weights())
+        return LPVMPC(stiffness=stiffness, formulation=PAPER, weights=PAPER_WEIGHTS)
+    return LPVMPC(stiffness=stiffness, weights=Weights())
 
 
 KINDS: dict[str, Draw] = {

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numba import njit
@@ -44,9 +45,10 @@ from lpvmpc.bicycle import (
 from lpvmpc.errors import OptionError
 from lpvmpc.path import Preview
 from lpvmpc.qp import QPResult, QPSolver, condense, n_rows
-from lpvmpc.stiffness import ConstantStiffness, StiffnessModel
+from lpvmpc.stiffness import NetworkStiffness, StiffnessModel
 from lpvmpc.terminal import SPEEDS, cost_to_go
 from lpvmpc.vehicle import Array, Command, State, VehicleParams
+from lpvmpc.weights_file import chosen
 
 DELTA_STEP_PAPER = np.pi / 12
 """Largest steering increment per period of the paper's Table 2 [rad]."""
@@ -76,7 +78,26 @@ is where ProxQP begins, and it needs one iteration instead of two."""
 
 @dataclass(frozen=True, kw_only=True)
 class Weights:
-    """Everything that is tuned. Weights are per second and normalised by `UNITS`."""
+    """Everything that is tuned. Weights are per second and normalised by `UNITS`.
+
+    The values here are set by hand; what the controller drives with where none are given is
+    `weights/lpv-mpc.toml`, which `eval/tune.py` wrote.
+    """
+
+    RANGES: ClassVar[dict[str, tuple[float, float]]] = {
+        "q_vx": (3.0, 300.0),
+        "q_vy": (0.01, 10.0),
+        "q_r": (0.01, 10.0),
+        "q_ey": (8.0, 800.0),
+        "q_epsi": (8.0, 800.0),
+        "r_delta": (0.005, 0.5),
+        "r_ax": (0.004, 0.4),
+        "terminal": (0.0, 1.0),
+        "observer_gain": (0.1, 0.6),
+        "slip_cap": (0.1, 0.18),
+    }
+    """Where tuning searches: a decade to either side of the values set by hand, what these leave
+    out near nothing, and for gain and cap the values that keep this car on the road."""
 
     q_vx: float = 30.0
     """Weight of the speed error."""
@@ -364,7 +385,7 @@ class LPVMPC:
         car: VehicleParams | None = None,
         *,
         stiffness: StiffnessModel | None = None,
-        weights: Weights | None = None,
+        weights: Weights | Mapping[str, float] | None = None,
         formulation: Formulation | None = None,
         delay: int = 0,
     ) -> None:
@@ -372,8 +393,8 @@ class LPVMPC:
 
         Args:
             car: Vehicle parameters; the packaged car by default.
-            stiffness: Model of the axle forces; constant nominal stiffness by default.
-            weights: Cost weights; the shipped ones by default.
+            stiffness: Model of the axle forces; the shipped `network` by default.
+            weights: Cost weights, or some of them by name; the shipped ones by default.
             formulation: Parts of the controller; the full one by default.
             delay: Known delay between command and effect [periods], compensated by prediction.
 
@@ -383,14 +404,16 @@ class LPVMPC:
         if not (isinstance(delay, int) and 0 <= delay <= 30):
             raise OptionError("delay", delay, "a whole number of periods from 0 to 30")
         self.car = car if car is not None else VehicleParams.load()
-        self.stiffness = stiffness if stiffness is not None else ConstantStiffness(self.car)
-        self.weights = weights if weights is not None else Weights()
         self.formulation = formulation if formulation is not None else Formulation()
+        if stiffness is None:
+            stiffness = NetworkStiffness(self.car, Ts=self.formulation.Ts)
+        self.stiffness = stiffness
+        self.weights = chosen("lpv-mpc", weights, Weights())
         self.delay = delay
         self.Np, self.Ts = self.formulation.Np, self.formulation.Ts
         parts = ("lags", "relaxation", "roll", "trail")
-        chosen = {name: getattr(self.formulation, name) for name in parts}
-        self.bicycle = Bicycle.of(self.car).simplified(**chosen)
+        included = {name: getattr(self.formulation, name) for name in parts}
+        self.bicycle = Bicycle.of(self.car).simplified(**included)
         self._constants = np.array(self.bicycle)
         self._learn = getattr(self.stiffness, "learn", None)  # a model that adapts to the road
         self._allocate()

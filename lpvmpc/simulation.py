@@ -187,6 +187,7 @@ class _Loop:
             "scenario": self.scenario.name,
             "controller": self.name,
             "stiffness": getattr(stiffness, "name", None),
+            "clamped_inputs": getattr(stiffness, "clamped", None),
             "Ts": self.plant.Ts,
             "Np": self.Np,
             "completed": not reason,

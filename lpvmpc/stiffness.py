@@ -148,6 +148,11 @@ class NetworkStiffness:
         """Estimated scale of the road's friction [-]."""
         return self._road.friction
 
+    @property
+    def clamped(self) -> int:
+        """Number of the network's inputs that lay outside the trained range since the reset."""
+        return self.tire.clamped
+
     def learn(self, unmodelled: Array, offsets: Array, a: float, ay: float) -> None:
         """Told by the controller what the tires mispredicted, and what they did.
 

@@ -210,6 +210,8 @@ class ForceFamily:
         slope /= args["norms"][:, :, network.C0]
         self.mean, self.std = _scaling(z, masks)
         self.low = [z[m].min(axis=0) for m in masks]
+        for low in self.low:  # of squares, whose roots the data have on both sides of zero
+            low[:, :2] = 0.0
         self.high = [z[m].max(axis=0) for m in masks]
         self.slip_max = [np.abs(s[m]).max(axis=0) for m in masks]
         self._s, self._z, self._y, self._slope = map(_tensor, (s, z, y, slope))

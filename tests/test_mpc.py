@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
+from lpvmpc import weights_file
 from lpvmpc.bicycle import DELTA, NX, Bicycle, derivative
 from lpvmpc.errors import OptionError
 from lpvmpc.mpc import BRAKING, EY_MAX, LPVMPC, PAPER, PAPER_WEIGHTS, Formulation, Weights
 from lpvmpc.path import Preview
 from lpvmpc.qp import QPResult
+from lpvmpc.stiffness import ConstantStiffness
 from lpvmpc.vehicle import State, VehicleParams
 
 TS, NP = 0.033, 10
@@ -16,6 +18,12 @@ TS, NP = 0.033, 10
 @pytest.fixture(scope="module")
 def car():
     return VehicleParams.load()
+
+
+def linear_tires(car, **options):
+    """The controller for the stand-in plant, whose tires are linear; weights set by hand."""
+    options.setdefault("weights", Weights())
+    return LPVMPC(car, stiffness=ConstantStiffness(car), **options)
 
 
 def state_of(x, dx):
@@ -60,7 +68,7 @@ def drive(car, controller, kappa, vx, periods, push=(0.0, 0.0, 0.0), x=None, n_p
 
 @pytest.mark.parametrize("vx", [5.0, 20.0])
 def test_a_constant_disturbance_leaves_no_offset(car, vx):
-    states, _ = drive(car, LPVMPC(car), 0.005, vx, 200, push=(-0.2, 0.8, 0.1))
+    states, _ = drive(car, linear_tires(car), 0.005, vx, 200, push=(-0.2, 0.8, 0.1))
     # explicit Euler of the stand-in at 1 ms and the hold disagree at the micrometre level
     assert abs(states[-1, 3]) < 2e-5
     assert abs(states[-1, 0] - vx) < 1e-4
@@ -68,15 +76,16 @@ def test_a_constant_disturbance_leaves_no_offset(car, vx):
 
 def test_without_the_observer_the_same_disturbance_leaves_an_offset(car):
     form = Formulation(observer=False)
-    states, _ = drive(car, LPVMPC(car, formulation=form), 0.005, 20.0, 200, push=(-0.2, 0.8, 0.1))
+    controller = linear_tires(car, formulation=form)
+    states, _ = drive(car, controller, 0.005, 20.0, 200, push=(-0.2, 0.8, 0.1))
     assert abs(states[-1, 3]) > 1e-3
 
 
 def test_the_papers_formulation_drives_the_same_road_less_exactly(car):
     push = (0.0, 0.8, 0.0)  # the side wind of the paper's road is of this size
-    full, _ = drive(car, LPVMPC(car), 0.01, 15.0, 150, push)
+    full, _ = drive(car, linear_tires(car), 0.01, 15.0, 150, push)
     paper, _ = drive(
-        car, LPVMPC(car, formulation=PAPER, weights=PAPER_WEIGHTS), 0.01, 15.0, 150, push
+        car, linear_tires(car, formulation=PAPER, weights=PAPER_WEIGHTS), 0.01, 15.0, 150, push
     )
     assert abs(full[-1, 3]) < 2e-5 < 1e-3 < abs(paper[-1, 3]) < EY_MAX
 
@@ -85,13 +94,13 @@ def test_the_papers_formulation_drives_the_same_road_less_exactly(car):
 @pytest.mark.parametrize("ay", [0.0, 2.0])
 def test_no_limit_cycle_on_a_straight_and_on_a_circle(car, vx, ay):
     kappa = min(ay / vx**2, 0.1)
-    _, commands = drive(car, LPVMPC(car), kappa, vx, 300)
+    _, commands = drive(car, linear_tires(car), kappa, vx, 300)
     assert np.ptp(commands[-150:, 0]) < 1e-3
 
 
 def test_an_initial_error_is_driven_to_zero_within_the_bounds(car):
     x = start(15.0, ey=0.25, a=0.1)
-    controller = LPVMPC(car)
+    controller = linear_tires(car)
     states, commands = drive(car, controller, 0.0, 15.0, 150, x=x)
     assert abs(states[-1, 3]) < 1e-4
     assert np.abs(commands[:, 0]).max() <= controller._delta_max + 1e-6
@@ -102,8 +111,8 @@ def test_an_initial_error_is_driven_to_zero_within_the_bounds(car):
 def test_mirrored_situations_get_mirrored_commands(car):
     mirror = np.array([1, -1, -1, -1, -1, -1, 1, -1, -1, -1, -1])
     x = start(12.0, 0.1, 0.2, 0.05, -0.02, 0.03, 0.2)
-    _, left = drive(car, LPVMPC(car), 0.02, 12.0, 40, x=x)
-    _, right = drive(car, LPVMPC(car), -0.02, 12.0, 40, x=mirror * x)
+    _, left = drive(car, linear_tires(car), 0.02, 12.0, 40, x=x)
+    _, right = drive(car, linear_tires(car), -0.02, 12.0, 40, x=mirror * x)
     # ProxQP's iterates are not symmetric to the last bit: its tolerance, fed back 40 times
     np.testing.assert_allclose(left[:, 0], -right[:, 0], atol=1e-5)
     np.testing.assert_allclose(left[:, 1], right[:, 1], atol=1e-4)
@@ -112,12 +121,12 @@ def test_mirrored_situations_get_mirrored_commands(car):
 def test_the_slip_cap_bounds_the_commanded_front_slip(car):
     """Asked for a bend far too tight, the wheel is turned to the cap, not beyond."""
     cap = 0.08
-    controller = LPVMPC(car, weights=Weights(slip_cap=cap))
+    controller = linear_tires(car, weights=Weights(slip_cap=cap))
     states, commands = drive(car, controller, 0.08, 15.0, 25)
     flow = np.arctan2(states[:, 1] + car.lf * states[:, 2], states[:, 0])
     # the cap is placed along the previous prediction, which the car follows within a few mrad
     assert (commands[1:, 0] - flow[1:]).max() < cap + 0.02
-    free = LPVMPC(car, weights=Weights(slip_cap=0.4))
+    free = linear_tires(car, weights=Weights(slip_cap=0.4))
     states, commands = drive(car, free, 0.08, 15.0, 25)
     flow = np.arctan2(states[:, 1] + car.lf * states[:, 2], states[:, 0])
     assert (commands[1:, 0] - flow[1:]).max() > cap + 0.05
@@ -139,14 +148,14 @@ def test_a_known_delay_is_compensated(car):
             return self.pending.pop(0) if len(self.pending) > 1 else self.pending[0]
 
     x = start(25.0, ey=0.2, a=0.3)
-    known, _ = drive(car, Late(LPVMPC(car, delay=1)), 0.0, 25.0, 120, x=x, n_preview=NP + 1)
-    unknown, _ = drive(car, Late(LPVMPC(car)), 0.0, 25.0, 120, x=x)
+    known, _ = drive(car, Late(linear_tires(car, delay=1)), 0.0, 25.0, 120, x=x, n_preview=NP + 1)
+    unknown, _ = drive(car, Late(linear_tires(car)), 0.0, 25.0, 120, x=x)
     assert abs(known[-1, 3]) < 1e-3
     assert np.abs(known[30:, 3]).max() < 0.8 * np.abs(unknown[30:, 3]).max()
 
 
 def test_a_refused_solve_follows_the_plan_and_then_brakes(car):
-    controller = LPVMPC(car)
+    controller = linear_tires(car)
     x = start(15.0, ey=0.2, a=0.1)
     seen, commands = state_of(x, np.zeros(NX)), []
     controller.reset(np.random.default_rng(0))
@@ -164,7 +173,7 @@ def test_a_refused_solve_follows_the_plan_and_then_brakes(car):
 
 def test_a_measurement_that_is_no_number_is_survived(car):
     """The period falls back, nothing is learned from it, and the next one is as good as before."""
-    controller = LPVMPC(car)
+    controller = linear_tires(car)
     x = start(15.0, ey=0.2, a=0.1)
     good = state_of(x, np.zeros(NX))
     controller.reset(np.random.default_rng(0))
@@ -181,14 +190,14 @@ def test_a_measurement_that_is_no_number_is_survived(car):
 
 
 def test_a_preview_that_is_too_short_is_named(car):
-    controller = LPVMPC(car, delay=2)
+    controller = linear_tires(car, delay=2)
     x = start(15.0, a=0.1)
     with pytest.raises(OptionError, match="preview length is 11, but must be at least 13 points"):
         controller.command(state_of(x, np.zeros(NX)), preview_of(x, 0.0, 15.0))
 
 
 def test_reset_gives_the_same_commands_again(car):
-    controller = LPVMPC(car)
+    controller = linear_tires(car)
     runs = [drive(car, controller, 0.01, 15.0, 30, push=(0, 0.5, 0))[1] for _ in range(2)]
     assert runs[0].tobytes() == runs[1].tobytes()
 
@@ -213,4 +222,15 @@ def test_impossible_formulations_are_named(name, value):
 
 def test_impossible_delays_are_named(car):
     with pytest.raises(OptionError, match="delay"):
-        LPVMPC(car, delay=-1)
+        linear_tires(car, delay=-1)
+
+
+def test_without_options_it_adapts_with_the_shipped_network_and_weights(car):
+    controller = LPVMPC(car)
+    assert controller.stiffness.name == "network"
+    assert controller.weights == weights_file.shipped("lpv-mpc", Weights())
+
+
+def test_some_weights_may_be_given_by_name(car):
+    controller = LPVMPC(car, weights={"q_ey": 5.0})
+    assert controller.weights == Weights(q_ey=5.0)

@@ -108,12 +108,34 @@ def test_the_paper_is_beside_the_papers_scenario_only(track):
     assert track.PAPER["lateral_rmse_m"] == 0.0217
 
 
+def test_a_weights_file_is_driven_and_recorded(run, road, tmp_path, sketch):
+    (tmp_path / "mine.toml").write_text('controller = "lpv-mpc"\n[weights]\nq_ey = 33.0\n')
+    code, out, _ = run("--scenario", road, "--weights", tmp_path / "mine.toml")
+    record = json.loads((tmp_path / "runs/road-lpv-mpc/metrics.json").read_text())["record"]
+    assert code == 0 and record["weights"]["q_ey"] == 33.0
+    assert record["clamped_inputs"] == 0 and "outside the trained range" in out
+
+
+def test_a_network_of_another_car_is_a_warning(run, road, track, sketch, monkeypatch):
+    from lpvmpc import dataset
+
+    monkeypatch.setattr(dataset, "car_sha256", lambda model: "another")
+    code, _, err = run("--scenario", road)
+    assert code == 0 and err.count("\n") == 1
+    assert "trained on another car than the one in use" in err
+    code, _, err = run("--scenario", road, "--stiffness", "constant")
+    assert (code, err) == (0, "")
+
+
 # Bad input: exit code 2 and one sentence --------------------------------------------------------
 
 PARAMETERS = [
     (["--scenario", "papers"], "Unknown scenario 'papers'; the choices are"),
-    (["--controller", "mpc"], "Unknown controller 'mpc'; the choices are lpv-mpc, lpv-mpc-paper"),
+    (["--controller", "mpc"], "Unknown controller 'mpc'; the choices are lmpc-pso-pid, lpv-mpc"),
     (["--controller", "absent:Mine"], "Controller 'absent:Mine' cannot be imported"),
+    (["--weights", "absent.toml"], "Weights file 'absent.toml' cannot be read: No such file"),
+    (["--controller", "stanley", "--stiffness", "network"], "stiffness is 'network', but must be"),
+    (["--controller", "mine:Mine", "--stiffness", "network"], "is your own: it has only what"),
     (["--wind-scale", "-1"], "wind_scale is -1.0, but must be a number from 0 to 10"),
     (["--wind-scale", "nan"], "wind_scale is nan"),
     (["--friction", "0"], "friction is 0.0, but must be a number from 0.05 to 2"),

@@ -90,6 +90,15 @@ def test_our_network_learns_the_tires_in_seconds(data, car):
     assert trained.curve[-1, 1] < 0.1 * trained.curve[0, 1]
 
 
+def test_a_car_that_does_nothing_lies_in_the_trained_range(data, car):
+    trained = train(data, Job(preset=preset("default", 1), seeds=(0,)), car)
+    z_low = trained.weights[0].arrays["z_low"]
+    assert (z_low[:, :2] == 0.0).all(), "squares of roll moment and longitudinal force"
+    tire = network.NetworkTire(car, trained.weights[0])
+    tire.axle(0, 0.0, 0.0, 0.0, 0.0)
+    assert tire.clamped == 0
+
+
 def test_the_papers_network_learns_too(data, car):
     trained = train(data, Job(preset=preset("paper", 150), only=("runs",)), car)
     scores = fit.scores(fit.predict(trained.weights[0], data, car), data, trained.names[0][1].train)
