@@ -105,6 +105,8 @@ class Finding:
     """What it must be."""
     why: str
     """Where the limit comes from, in one line; never from the result."""
+    target: bool = False
+    """Whether it is one of the handling targets of models/README.md."""
 
     def __post_init__(self) -> None:
         """What does not fit the table is our own mistake."""
@@ -149,8 +151,8 @@ class Picture:
     """Part of the file name, in lower case with hyphens."""
     caption: str
     """What it shows, one or two sentences."""
-    figure: Figure
-    """Made by a function under `plots.styled`."""
+    figure: Figure | None
+    """Made by a function under `plots.styled`; None once it is saved."""
 
 
 @dataclass
@@ -169,6 +171,8 @@ class StudyResult:
     """Numbers behind the pictures."""
     pictures: list[Picture] = field(default_factory=list)
     """Plots."""
+    seconds: float = 0.0
+    """Wall time that it took [s], filled in by `runner.conduct`."""
 
     @property
     def title(self) -> str:
@@ -180,7 +184,9 @@ class StudyResult:
         """Whether every figure is inside its limit."""
         return all(finding.ok for finding in self.findings)
 
-    def find(self, figure: str, value: float, unit: str, limit: Limit, why: str) -> None:
+    def find(
+        self, figure: str, value: float, unit: str, limit: Limit, why: str, *, target: bool = False
+    ) -> None:
         """Add a figure.
 
         Args:
@@ -189,8 +195,10 @@ class StudyResult:
             unit: Its unit, in at most 8 characters; empty for a pure number.
             limit: What it must be.
             why: Where the limit comes from.
+            target: Whether it is one of the handling targets of models/README.md.
         """
-        self.findings.append(Finding(self.study, figure, float(value), unit, limit, why))
+        finding = Finding(self.study, figure, float(value), unit, limit, why, target)
+        self.findings.append(finding)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,167 @@
+"""What the studies found, as text: the table of the command line and the report in Markdown."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Sequence
+from datetime import date
+from typing import Any
+
+from lpvmpc.provenance import commit, machine, versions
+from lpvmpc.report import markdown_table
+from lpvmpc.studies.runner import cell, cells
+from lpvmpc.studies.study import Finding, StudyResult
+
+FOREWORD = """\
+How far can this car be trusted? No measurement of a real car stands behind what follows. It is
+**verification**, the simulated car against closed forms that its own documented numbers enter, and
+a **cross-model check**, against models and code written by others. It is not validation: it shows
+that the simulation does what its equations say, and that these say what vehicle dynamics knows.
+
+- The car is `models/vehicle.xml`: mass, geometry and friction of the paper's Table 2, with assumed
+  suspension and tires set to the handling targets. `models/README.md` grades every number.
+- Frame ISO 8855: x forward, y left, z up; angles positive to the left; roll positive with the
+  right side down. *Steer* is the angle of the road wheel of the equivalent single track, not of a
+  hand wheel. ay is the lateral acceleration of the centre of mass in the road plane.
+- Not modelled: camber and toe over travel, compliance of bushings and steering, tire temperature
+  and wear, tire frequencies above some 10 Hz, unevenness, lift, ABS and stability control.
+- A **limit** comes from a source, a closed form with its known error, or what the figure is used
+  for; the reason stands below each table, and none was fitted to the result. The **verdict** is
+  `ok` inside the limit.
+"""
+
+
+def table(results: Sequence[StudyResult]) -> str:
+    """Figure, value, limit and verdict of all studies, in 80 columns."""
+    lines = []
+    for result in results:
+        bad = sum(not finding.ok for finding in result.findings)
+        verdict = f"{bad} of {len(result.findings)} FAILED" if bad else "all ok"
+        lines.append(f"{result.title} ({result.study}): {verdict}, {result.seconds:.0f} s")
+        lines += [_row(finding) for finding in result.findings]
+        lines.append("")
+    return "\n".join(lines)
+
+
+def _row(f: Finding) -> str:
+    verdict = "ok" if f.ok else "FAIL"
+    text = f"  {f.figure:<38} {cell(f.value):>9} {f.unit:<8}"
+    line = f"{text} {f.limit.text:<16} {verdict}"
+    if len(line) <= 80:
+        return line
+    return f"{text}\n{'':49} {f.limit.text:>25} {verdict}"
+
+
+def markdown(results: Sequence[StudyResult], folder: str, how: str, broken: str | None) -> str:
+    """The report.
+
+    Args:
+        results: What the studies found.
+        folder: Where pictures and CSV lie, seen from the report.
+        how: The command that made it.
+        broken: Name of the broken car that was studied, or None.
+    """
+    used = ", ".join(f"{name} {number}" for name, number in versions().items())
+    lines = ["# Fidelity of the simulated car", ""]
+    if broken is not None:
+        lines += [f"**This is not the packaged car, but one broken on purpose: {broken}.**", ""]
+    lines += [
+        FOREWORD,
+        f"Machine: {machine()}. Versions: {used}; commit {commit() or 'unknown'};",
+        f"{date.today().isoformat()}. No study draws random numbers. Made by `{how}`;",
+        f"pictures, tables and curves (CSV) are in `{folder}/`, all figures in `{folder}.csv`.",
+        "",
+        summary(results),
+    ]
+    bad = [f"{f.figure} ({r.study})" for r in results for f in r.findings if not f.ok]
+    lines += [f"Outside their limits: {'; '.join(bad)}." if bad else "All are inside.", ""]
+    targets = [finding for result in results for finding in result.findings if finding.target]
+    if targets:
+        lines += [
+            "## Handling targets",
+            "",
+            "Identified from CarSim runs that the paper's authors published with their code, and",
+            "converted to Table 2's geometry: what the car must do to stand in for theirs.",
+            "",
+            _findings("Targets", targets, study=True),
+        ]
+    for result in results:
+        lines += _section(result, folder)
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def summary(results: Sequence[StudyResult]) -> str:
+    """One row for each study."""
+    rows = [
+        (r.title, len(r.findings), sum(f.ok for f in r.findings), f"{r.seconds:.0f} s")
+        for r in results
+    ]
+    return markdown_table("Studies", ("study", "figures", "inside limits", "wall time"), rows)
+
+
+def _section(result: StudyResult, folder: str) -> list[str]:
+    lines = [f"## {result.title}", "", result.method.strip(), ""]
+    if result.findings:
+        lines += [_findings(f"Figures and limits: {result.study}", result.findings)]
+        lines += [_reasons(result.findings), ""]
+    for data in result.tables:
+        lines += [markdown_table(data.caption, data.header, cells(data))]
+    for picture in result.pictures:
+        lines += [f"![{picture.caption}]({folder}/{result.study}-{picture.name}.png)", ""]
+        lines += [f"*{picture.caption}*", ""]
+    return lines
+
+
+def _findings(title: str, findings: Sequence[Finding], study: bool = False) -> str:
+    header = ["figure", "value", "unit", "limit", "verdict"] + ["study"] * study
+    rows = [
+        [f.figure, cell(f.value), f.unit, f.limit.text, "ok" if f.ok else "**FAILED**"]
+        + [f.study] * study
+        for f in findings
+    ]
+    return markdown_table(title, header, rows)
+
+
+def _reasons(findings: Sequence[Finding]) -> str:
+    """Why the limits are what they are, figures with the same reason together."""
+    reasons: dict[str, list[str]] = {}
+    for finding in findings:
+        reasons.setdefault(finding.why, []).append(finding.figure)
+    lines = ["Why these limits:", ""]
+    lines += [f"- {'; '.join(figures)}: {why}." for why, figures in reasons.items()]
+    return "\n".join(lines)
+
+
+def as_csv(results: Sequence[StudyResult]) -> str:
+    """All figures, one line each."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(("study", "figure", "value", "unit", "limit", "ok", "why"))
+    for f in (finding for result in results for finding in result.findings):
+        writer.writerow((f.study, f.figure, cell(f.value, 7), f.unit, f.limit.text, f.ok, f.why))
+    return text.getvalue()
+
+
+def as_json(results: Sequence[StudyResult]) -> list[dict[str, Any]]:
+    """All figures: study, figure, value, limit, ok, and more; what is not finite is null."""
+
+    def finite(x: float) -> float | None:
+        return x if math.isfinite(x) else None
+
+    return [
+        {
+            "study": f.study,
+            "figure": f.figure,
+            "value": finite(f.value),
+            "unit": f.unit,
+            "limit": f.limit.text,
+            "low": finite(f.limit.low),
+            "high": finite(f.limit.high),
+            "ok": f.ok,
+            "why": f.why,
+        }
+        for result in results
+        for f in result.findings
+    ]

@@ -1,0 +1,141 @@
+"""Running studies, one after another or several at once, and saving what they made."""
+
+from __future__ import annotations
+
+import csv
+import multiprocessing
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lpvmpc.errors import LPVMPCError, OutputError
+from lpvmpc.studies.study import CarUnderTest, Limit, StudyResult, Table, load_study
+
+Progress = Callable[[StudyResult], None]
+
+
+def conduct(
+    names: Sequence[str],
+    folder: Path,
+    *,
+    broken: str | None = None,
+    jobs: int = 1,
+    progress: Progress | None = None,
+) -> list[StudyResult]:
+    """Run studies and save their pictures and numbers.
+
+    Args:
+        names: Which, out of `study.STUDIES`.
+        folder: Receives a PNG for each picture and a CSV for each table and series.
+        broken: Name of a car of `broken.BROKEN` to study (default: the packaged car).
+        jobs: Number of processes.
+        progress: Called with each result as soon as it is there.
+
+    Returns:
+        The results in the order of the names, their pictures without the figures.
+
+    Raises:
+        UnknownNameError: A study or a broken car does not exist.
+        OutputError: The folder cannot be written.
+    """
+    for name in names:
+        load_study(name)
+    results = {}
+    for result in _results(names, folder, broken, min(jobs, len(names))):
+        results[result.study] = result
+        if progress is not None:
+            progress(result)
+    return [results[name] for name in names]
+
+
+def _results(
+    names: Sequence[str], folder: Path, broken: str | None, jobs: int
+) -> Iterator[StudyResult]:
+    if jobs <= 1:
+        for name in names:
+            yield conduct_one(name, folder, broken)
+        return
+    context = multiprocessing.get_context("spawn")  # a fork would copy compiled code's threads
+    with ProcessPoolExecutor(jobs, mp_context=context) as pool:
+        futures = [pool.submit(conduct_one, name, folder, broken) for name in names]
+        try:
+            for future in as_completed(futures):
+                yield future.result()
+        finally:
+            for future in futures:
+                future.cancel()
+
+
+def conduct_one(name: str, folder: Path, broken: str | None = None) -> StudyResult:
+    """Run one study and save its pictures and numbers.
+
+    A study that stops halfway, because a broken car cannot be driven, failed.
+    """
+    from lpvmpc.studies.broken import break_car
+
+    car = CarUnderTest.packaged() if broken is None else break_car(broken)
+    study = load_study(name)
+    begin = time.perf_counter()
+    try:
+        result = study(car)
+    except OutputError:
+        raise
+    except LPVMPCError as error:
+        result = StudyResult(name, f"The study stopped: {error}")
+        why = "a car that cannot be driven through the study is wrong"
+        result.find("study came to its end", 0.0, "", Limit.at_least(1.0), why)
+    result.seconds = time.perf_counter() - begin
+    save(result, folder)
+    result.pictures = [replace(picture, figure=None) for picture in result.pictures]
+    return result
+
+
+def save(result: StudyResult, folder: Path) -> None:
+    """Write pictures as PNG, tables and series as CSV: `<study>-<name>` in the folder.
+
+    Raises:
+        OutputError: A file cannot be written.
+    """
+    from lpvmpc.figures import DPI
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for picture in result.pictures:
+            if picture.figure is not None:
+                file = folder / f"{result.study}-{picture.name}.png"
+                picture.figure.savefig(file, dpi=DPI, metadata={"Software": None})
+        for table in result.tables:
+            _write_csv(folder / f"{result.study}-{table.name}.csv", table.header, cells(table))
+        for series in result.series:
+            columns = [np.asarray(column) for column in series.columns.values()]
+            rows = [[cell(x, 7) for x in row] for row in zip(*columns, strict=True)]
+            _write_csv(folder / f"{result.study}-{series.name}.csv", list(series.columns), rows)
+    except OSError as error:
+        why = error.strerror or str(error)
+        raise OutputError(f"Cannot write into {str(folder)!r}: {why}.") from error
+
+
+def cell(value: object, digits: int = 4) -> str:
+    """A cell of a table as text: numbers with so many significant digits."""
+    if isinstance(value, bool | np.bool_):
+        return "yes" if value else "no"
+    if isinstance(value, float | np.floating):
+        return f"{value:.{digits}g}"
+    return str(value)
+
+
+def cells(table: Table) -> list[list[str]]:
+    """All cells of a table as text."""
+    return [[cell(value) for value in row] for row in table.rows]
+
+
+def _write_csv(file: Path, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
+    with file.open("w", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(header)
+        writer.writerows(rows)
