@@ -12,9 +12,10 @@ Sources: Clerc and Kennedy, "The particle swarm: explosion, stability, and conve
 multidimensional complex space", IEEE Transactions on Evolutionary Computation 6(1), 2002; for steps
 of at most a variable's range, Eberhart and Shi, "Comparing inertia weights and constriction factors
 in particle swarm optimization", CEC 2000; for the size of the swarm, 10 + 2 sqrt(n), and for what
-happens on a bound, Zambrano-Bigiarini et al., "Standard particle swarm optimisation 2011", CEC 2013:
-a particle that would leave the bounds is put on them and comes back with half its speed. If it
-rested there, a swarm that has met on a bound could never leave it.
+happens on a bound, Zambrano-Bigiarini et al., "Standard particle swarm optimisation 2011 at
+CEC-2013: a baseline for future PSO improvements", CEC 2013: a particle that would leave the bounds
+is put on them and comes back with half its speed. If it rested there, a swarm that has met on a
+bound could never leave it.
 
 The baseline of Kebbati et al. tunes its three PID gains by a swarm. The default spends as many
 evaluations as the genetic algorithm of that paper does.

@@ -218,7 +218,7 @@ class State:
             "generator": self.generator,
             "arrays": {name: _plain(array) for name, array in self.arrays.items()},
             "history": [
-                [*_plain(np.array([g.best, g.mean, g.worst])), g.individual.tolist()]
+                [*_plain(np.array([g.best, g.mean, g.worst])), _plain(g.individual)]
                 for g in self.history
             ],
             "evaluations": self.evaluations,
@@ -251,7 +251,7 @@ class State:
                 generator=body["generator"],
                 arrays={name: _array(rows) for name, rows in body["arrays"].items()},
                 history=tuple(
-                    Generation(*_array([best, mean, worst]).tolist(), individual=frozen(individual))
+                    Generation(_number(best), _number(mean), _number(worst), frozen(individual))
                     for best, mean, worst, individual in body["history"]
                 ),
                 evaluations=int(body["evaluations"]),
@@ -353,7 +353,12 @@ def _array(rows: list[Any]) -> Array:
     """The array from such lists."""
     if rows and isinstance(rows[0], list):
         return frozen([_array(row) for row in rows])
-    return frozen([math.inf if value is None else value for value in rows])
+    return frozen([_number(value) for value in rows])
+
+
+def _number(value: float | None) -> float:
+    """A number from such a list."""
+    return math.inf if value is None else float(value)
 
 
 def _digest(body: object) -> str:
