@@ -12,12 +12,12 @@ import importlib.util
 import json
 import os
 import signal
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, fields, replace
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from lpvmpc.controllers import described, load_controller
 from lpvmpc.errors import LPVMPCError, OptionError
@@ -41,6 +41,12 @@ UNUSED = frozenset(
 )
 """Modules that no run uses: an edit of theirs leaves the results that are kept valid."""
 
+DIED = (
+    "A worker process died (killed, or out of memory?); what was finished is kept, and fewer jobs "
+    "need less memory."
+)
+T = TypeVar("T")
+R = TypeVar("R")
 Progress = Callable[[int, int], None]
 """Called with the number of runs that are done and of all."""
 
@@ -216,12 +222,7 @@ def drive_all(
         OutputError: The folder cannot be written.
         KeyboardInterrupt: Ctrl-C.
     """
-    if isinstance(jobs, bool) or not isinstance(jobs, int) or jobs < 1:
-        raise OptionError("jobs", jobs, "a whole number from 1")
-    if backend not in BACKENDS:
-        raise OptionError("backend", backend, " or ".join(BACKENDS))
-    if address is not None and backend != "ray":
-        raise OptionError("address", address, "left out unless the backend is 'ray'")
+    _check_workers(jobs, backend, address)
     keys = [run.key() for run in runs]
     kept = None if cache is None else Path(cache)
     found: dict[str, dict[str, Any]] = {}
@@ -244,6 +245,59 @@ def drive_all(
             if progress is not None:
                 progress(done, len(runs))
     return [found[key] for key in keys]
+
+
+@contextmanager
+def workers(
+    jobs: int = 1, backend: str = "local", address: str | None = None
+) -> Iterator[Callable[[Callable[[T], R], Iterable[T]], list[R]]]:
+    """A `map` that calls a function on many things at once and gives the answers in their order.
+
+    The workers live as long as the context, so that what they have compiled and planned is kept
+    from one call to the next.
+
+    Args:
+        jobs: Number of processes; with 1, all happens in this one (unless on Ray).
+        backend: One of `BACKENDS`.
+        address: Address of the Ray cluster.
+
+    Raises:
+        OptionError: As `drive_all`.
+        LPVMPCError: Ray is not installed or not reachable, or a worker process died.
+    """
+    from joblib import Parallel, delayed, parallel_config
+    from joblib.externals.loky.process_executor import BrokenProcessPool
+
+    _check_workers(jobs, backend, address)
+    if backend == "local" and jobs == 1:
+        yield lambda function, things: [function(thing) for thing in things]
+        return
+    limit = {"inner_max_num_threads": 1} if backend == "local" else {}
+    where = _ray(address) if backend == "ray" else nullcontext()
+    name = "loky" if backend == "local" else "ray"
+    with where, parallel_config(name, n_jobs=jobs, **limit):  # type: ignore[arg-type]
+        with Parallel(batch_size=1, pre_dispatch="all") as parallel:
+            try:
+                yield lambda function, things: parallel(
+                    delayed(_undisturbed)(function, thing) for thing in things
+                )
+            except BrokenProcessPool as error:
+                raise LPVMPCError(DIED) from error
+
+
+def _undisturbed(function: Callable[[T], R], thing: T) -> R:
+    """Call a function in a worker, which the parent alone tells when to stop."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    return function(thing)
+
+
+def _check_workers(jobs: int, backend: str, address: str | None) -> None:
+    if isinstance(jobs, bool) or not isinstance(jobs, int) or jobs < 1:
+        raise OptionError("jobs", jobs, "a whole number from 1")
+    if backend not in BACKENDS:
+        raise OptionError("backend", backend, " or ".join(BACKENDS))
+    if address is not None and backend != "ray":
+        raise OptionError("address", address, "left out unless the backend is 'ray'")
 
 
 def read_result(cache: Path, key: str) -> dict[str, Any] | None:
@@ -317,10 +371,7 @@ def _parallel(runs: Mapping[str, Run]) -> Iterator[Outcome]:
     try:
         yield from results
     except BrokenProcessPool as error:
-        raise LPVMPCError(
-            "A worker process died (killed, or out of memory?); what was finished is kept, and "
-            "fewer jobs need less memory."
-        ) from error
+        raise LPVMPCError(DIED) from error
     finally:
         results.close()  # also ends the workers' runs after Ctrl-C
 
