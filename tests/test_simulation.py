@@ -328,6 +328,14 @@ def bends():
         # No observer and no feed-forward: it leans against wind and bend with an offset, 26 mm
         # when this was written.
         ("lpv-mpc-paper", 0.05),
+        # The same, with the speed left to a PID.
+        ("lmpc-pso-pid", 0.05),
+        # The front axle follows the path, so the centre of mass cuts a bend of 40 m by 66 mm less
+        # its slip; 56 mm when this was written.
+        ("stanley", 0.1),
+        # The rear axle follows it, the centre of mass 32 mm outside; what the car understeers,
+        # 0.016 rad at 3.6 m/s2, takes a further error of ld^2 / 2 L = 2.3 m per rad. 117 mm.
+        ("pure-pursuit", 0.2),
     ],
 )
 def test_each_controller_keeps_to_the_road(plant, bends, name, bound):
