@@ -47,11 +47,11 @@ def table(results: Sequence[StudyResult]) -> str:
 
 def _row(f: Finding) -> str:
     verdict = "ok" if f.ok else "FAIL"
-    text = f"  {f.figure:<38} {cell(f.value):>9} {f.unit:<8}"
+    text = f" {f.figure:<38} {cell(f.value):>9} {f.unit:<8}"
     line = f"{text} {f.limit.text:<16} {verdict}"
     if len(line) <= 80:
         return line
-    return f"{text}\n{'':49} {f.limit.text:>25} {verdict}"
+    return f"{text}\n{'':48} {f.limit.text:>25} {verdict}"
 
 
 def markdown(results: Sequence[StudyResult], folder: str, how: str, broken: str | None) -> str:
@@ -76,7 +76,8 @@ def markdown(results: Sequence[StudyResult], folder: str, how: str, broken: str 
         summary(results),
     ]
     bad = [f"{f.figure} ({r.study})" for r in results for f in r.findings if not f.ok]
-    lines += [f"Outside their limits: {'; '.join(bad)}." if bad else "All are inside.", ""]
+    verdict = f"Outside: {'; '.join(bad)}." if bad else "All figures are inside their limits."
+    lines += [verdict, ""]
     targets = [finding for result in results for finding in result.findings if finding.target]
     if targets:
         lines += [

@@ -110,7 +110,7 @@ class Finding:
 
     def __post_init__(self) -> None:
         """What does not fit the table is our own mistake."""
-        assert len(self.figure) <= 38, self.figure
+        assert len(self.figure) <= 38 and "|" not in self.figure, self.figure
         assert len(self.unit) <= 8, self.unit
 
     @property
@@ -234,7 +234,7 @@ class CarUnderTest:
 
     def plant_tires(self) -> tuple[Array, Array]:
         """Coefficients of the tires on the plants' model, front and rear: what is to be tested."""
-        return tires(self.model)
+        return tires(self.plant().model)
 
 
 Run = Callable[[CarUnderTest], StudyResult]
