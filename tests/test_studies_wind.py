@@ -1,0 +1,60 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lpvmpc.studies import wind
+from lpvmpc.vehicle import VehicleParams
+
+
+@pytest.fixture(scope="module")
+def params():
+    return VehicleParams.load()
+
+
+def test_the_steady_state_balances_force_and_moment(params):
+    sideslip, steer, force = wind.steady_side_wind(params, 25.0, 12.0)
+    Fyf, Fyr = params.Cf * (steer - sideslip), -params.Cr * sideslip
+    assert Fyf + Fyr + force == pytest.approx(0.0, abs=1e-9)
+    moment = (params.lf - params.trail_f) * Fyf - (params.lr + params.trail_r) * Fyr
+    assert moment + params.x_cy * force == pytest.approx(0.0, abs=1e-9)
+    assert force < 0.0  # from the left, so to the right
+
+
+def test_a_wind_that_pushes_at_the_rear_axle_asks_for_crab_angle_and_no_front_force(params):
+    car = replace(params, x_cy=-params.lr, trail_f=0.0, trail_r=0.0)
+    sideslip, steer, force = wind.steady_side_wind(car, 20.0, 10.0)
+    assert sideslip == pytest.approx(force / car.Cr)
+    assert steer == pytest.approx(sideslip)  # the front wheels roll straight along the course
+
+
+def test_without_sideslip_the_force_is_that_of_the_formula(params):
+    stiff = replace(params, Cf=1e12, Cr=1e12)
+    _, _, force = wind.steady_side_wind(stiff, 20.0, 10.0)
+    q = 0.5 * params.rho_air * params.CyA
+    assert force == pytest.approx(-q * math.hypot(20.0, 10.0) * 10.0)
+
+
+def test_the_linear_answer_to_a_lasting_wind_ends_in_its_steady_state(params):
+    vx = 20.0
+    times = np.linspace(0.0, 6.0, 61)
+    r, psi, _ = wind.linear_response(params, vx, lambda t: 1.0, times)[-1]
+    # steering held: vy' = r' = 0 for the wind across the car's axis at that heading
+    a, b = params.lf - params.trail_f, params.lr + params.trail_r
+    Cf, Cr, lf, lr = params.Cf / vx, params.Cr / vx, params.lf, params.lr
+    A = [
+        [-(Cf + Cr), -(lf * Cf - lr * Cr) - params.m * vx],
+        [-(a * Cf - b * Cr), -(a * lf * Cf + b * lr * Cr)],
+    ]
+    force = -0.5 * params.rho_air * params.CyA * vx * math.cos(psi)  # of 1 m/s
+    steady = np.linalg.solve(A, [-force, -params.x_cy * force])
+    # the air's sideways speed is that of the car too: vy / 1 m/s, below 2 %
+    assert r == pytest.approx(steady[1], rel=0.03)
+
+
+@pytest.mark.parametrize("gust", wind.GUSTS, ids=lambda gust: gust.name)
+def test_a_gust_begins_after_the_start_and_blows_from_the_left(gust):
+    speeds = [gust.wind(t) for t in np.arange(0.0, gust.seconds, 0.01)]
+    assert gust.wind(0.19) == 0.0 and min(speeds) >= 0.0
+    assert f"{max(speeds):g} m/s" in gust.name
