@@ -11,8 +11,8 @@ LPV-MPC controller", Algorithm 1 and Table 1. Where these leave a choice, and wh
 - Survival. Algorithm 1 replaces the population by its offspring, but its offspring are 80 % of it:
   the best of both survive, as in the authors' published code. So the best is never lost.
 - Pressure. A roulette wheel needs the scale of the costs. Ours measures them from the best, in
-  units of their mean distance to it, so that a constant added to the cost changes nothing; on the
-  sphere function below, whose optimum costs 25, relative cost alone would leave no pressure.
+  units of their mean distance to it, so that a constant added to the cost changes nothing; in
+  units of the mean cost, as in the authors' code, a constant would take the pressure away.
 - Crossover. "Uniform" means that each variable is decided on its own. On real numbers that is
   either an exchange of the parents' values or, as in the authors' code, a blend of them with a
   weight that may reach a fifth beyond either parent: extended intermediate recombination
@@ -31,9 +31,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from dataclasses import replace as replaced
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -52,6 +52,7 @@ from lpvmpc.search import (
     evaluate,
     first_population,
     frozen,
+    record_of,
     summary,
 )
 
@@ -151,7 +152,7 @@ def minimise(
     check_count("seed", seed, 0, 2**63 - 1)
     if selection not in get_args(Selection):
         raise UnknownNameError("selection", selection, get_args(Selection))
-    record = {**asdict(settings), "selection": selection, "seed": int(seed)}
+    record = record_of(settings, selection=selection, seed=seed)
     if state is None:
         state = _begin(cost, low, high, settings, record, map, start)
         if after is not None:
@@ -170,12 +171,12 @@ def _begin(
     lower: Array,
     upper: Array,
     settings: Settings,
-    record: dict[str, object],
+    record: dict[str, Any],
     map: Map,
     start: npt.ArrayLike | None,
 ) -> State:
     """Draw and evaluate the first population."""
-    rng = np.random.default_rng(record["seed"])  # type: ignore[arg-type]
+    rng = np.random.default_rng(record["seed"])
     given = check_start(start, lower, upper, settings.population)
     individuals = first_population(rng, lower, upper, settings.population, given)
     costs, failures = evaluate(cost, individuals, map, 0)

@@ -25,8 +25,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from dataclasses import replace as replaced
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -45,6 +46,7 @@ from lpvmpc.search import (
     evaluate,
     first_population,
     frozen,
+    record_of,
     summary,
 )
 
@@ -125,7 +127,7 @@ def minimise(
     settings = settings or Settings()
     low, high = check_bounds(lower, upper)
     check_count("seed", seed, 0, 2**63 - 1)
-    record = {**asdict(settings), "seed": int(seed)}
+    record = record_of(settings, seed=seed)
     if state is None:
         state = _begin(cost, low, high, settings, record, map, start)
         if after is not None:
@@ -144,12 +146,12 @@ def _begin(
     lower: Array,
     upper: Array,
     settings: Settings,
-    record: dict[str, object],
+    record: dict[str, Any],
     map: Map,
     start: npt.ArrayLike | None,
 ) -> State:
     """Draw and evaluate the first places; the particles rest there."""
-    rng = np.random.default_rng(record["seed"])  # type: ignore[arg-type]
+    rng = np.random.default_rng(record["seed"])
     given = check_start(start, lower, upper, settings.population)
     places = first_population(rng, lower, upper, settings.population, given)
     costs, failures = evaluate(cost, places, map, 0)

@@ -96,7 +96,7 @@ class Guarded:
             value = float(self.cost(np.array(individual)))
         except Exception as error:  # whatever it is: one bad individual must not end the search
             text = " ".join(f"{type(error).__name__}: {error}".split())
-            return math.inf, text[:300].removesuffix(": ").rstrip(":")
+            return math.inf, text[:300].rstrip(": ")
         if math.isnan(value) or value == -math.inf:
             return math.inf, f"the cost is {value}"
         return value, None
@@ -259,9 +259,15 @@ class State:
             )
             state.rng()
             state.history[-1]
-        except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
             raise DataError(f"The saved state is damaged: {error}.") from error
         return state
+
+
+def record_of(settings: Any, **more: object) -> dict[str, Any]:
+    """The fields of a dataclass of settings, and more, as plain numbers and names."""
+    both = {**asdict(settings), **more}
+    return {key: v.item() if isinstance(v, np.generic) else v for key, v in both.items()}
 
 
 def check_bounds(lower: npt.ArrayLike, upper: npt.ArrayLike) -> tuple[Array, Array]:
