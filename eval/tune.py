@@ -210,7 +210,7 @@ def show_sphere(options: Options) -> int:
     out = cli.writable_folder(options.out or Path("docs/results"))
     if options.json is not None:
         cli.writable_folder(options.json.parent)
-    from lpvmpc import sphere
+    from lpvmpc import sphere, sphere_report
 
     def say(what: str) -> None:
         if sys.stderr.isatty():
@@ -222,10 +222,10 @@ def show_sphere(options: Options) -> int:
         population=options.population or sphere.SETTINGS.population,
     )
     study = sphere.run(options.seed, settings=settings, say=say)
-    print(sphere.report(study), end="")
-    files = sphere.save(study, out)
+    print(sphere_report.report(study), end="")
+    files = sphere_report.save(study, out)
     if options.json is not None:
-        write_json(options.json, sphere.as_json(study))
+        write_json(options.json, sphere_report.as_json(study))
     print(f"Saved {out}/ ({', '.join(file.name for file in files)})")
     return cli.DONE
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lpvmpc import sphere
+from lpvmpc import sphere, sphere_report
 from lpvmpc.sphere import OPTIMUM, Runs, Study
 
 SCRIPT = Path(__file__).parents[1] / "eval" / "tune.py"
@@ -64,7 +64,7 @@ def test_the_crossover_is_chosen_on_other_seeds(short):
 
 def test_the_same_seed_gives_the_same_study(short):
     again = sphere.run(seed=3, seeds=4, settings=short.settings)
-    assert sphere.as_csv(again) == sphere.as_csv(short)
+    assert sphere_report.as_csv(again) == sphere_report.as_csv(short)
 
 
 def test_equal_selections_are_not_told_apart():
@@ -138,7 +138,7 @@ def test_the_picture_has_the_same_bytes_twice(short, tmp_path):
     pictures = []
     for name in ("one", "two"):
         (tmp_path / name).mkdir()
-        pictures.append(sphere.save(short, tmp_path / name)[-1].read_bytes())
+        pictures.append(sphere_report.save(short, tmp_path / name)[-1].read_bytes())
     assert pictures[0] == pictures[1]
 
 
