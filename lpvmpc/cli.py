@@ -77,6 +77,11 @@ def check_number(name: str, value: float | None, low: float, high: float, unit: 
         raise OptionError(name, value, f"from {low:g} to {high:g}{unit and ' ' + unit}")
 
 
+def cores() -> int:
+    """Number of cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def check_opengl() -> None:
     """Ignore a MUJOCO_GL whose library is not there, and say so, before MuJoCo is imported.
 

@@ -1,0 +1,318 @@
+"""What follows from the ablation: each promise with its figure and limit, and sentences.
+
+Everything here is computed from the rows, whichever way it falls; a figure that was not measured
+(a quick run) has no verdict.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from lpvmpc.ablation import GRIPS, MODELS, STEPS, Row, Search, geometric_mean
+
+MATTERS = 1.1
+"""Two errors count as different where their ratio is at least this."""
+
+
+class Table:
+    """The rows by case, model and observer."""
+
+    def __init__(self, rows: Iterable[Row]) -> None:
+        self.rows = list(rows)
+        self._by_key = {(r.case.key, r.model.key, r.observer): r for r in self.rows}
+
+    def get(self, case: str, model: str, observer: bool = True) -> Row | None:
+        """A row; None where it was not driven."""
+        return self._by_key.get((case, model, observer))
+
+    def rmse(self, case: str, model: str, observer: bool = True) -> float | None:
+        """Lateral RMSE [m], charged where the car was lost; None where it was not driven."""
+        row = self.get(case, model, observer)
+        return None if row is None else row.rmse
+
+    def largest(self, case: str, model: str, observer: bool = True) -> float | None:
+        """Largest lateral error [m], likewise."""
+        row = self.get(case, model, observer)
+        return None if row is None else row.largest
+
+    def gain(self, case: str, worse: str, better: str, observer: bool = True) -> float | None:
+        """How many times smaller the RMSE of one model is than another's; None without either."""
+        a, b = self.rmse(case, worse, observer), self.rmse(case, better, observer)
+        return None if a is None or b is None else a / b
+
+    def of(self, model: str, observer: bool) -> list[Row]:
+        """All rows of a model in which it was not made wrong, in their order."""
+        return [
+            r for r in self.rows
+            if r.model.key == model and r.observer == observer and not r.case.wrong
+        ]  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bar:
+    """A promise: a figure and what it must be."""
+
+    key: str
+    """Name in the files."""
+    text: str
+    """What it is."""
+    value: float | None
+    """What was measured; None where it was not."""
+    limit: float
+    """What it may be at most, or must be at least."""
+    unit: str = "mm"
+    """Of both."""
+    at_least: bool = False
+    """Whether the limit is a lower one."""
+
+    @property
+    def ok(self) -> bool | None:
+        """Whether it is met; None where it was not measured."""
+        if self.value is None:
+            return None
+        return self.value >= self.limit if self.at_least else self.value <= self.limit
+
+
+def bars(table: Table) -> list[Bar]:
+    """The promises about the network, each with its figure; errors in mm, lost runs charged."""
+    return [
+        *_accuracy(table),
+        Bar(
+            key="gain_over_constant", unit="times", limit=1.5, at_least=True,
+            text="76 %: best constant, no observer / ours",
+            value=_ratio(table.rmse("circuit-0.76", "constant-best", False),
+                         table.rmse("circuit-0.76", "network")),
+        ),
+        *_friction(table),
+        *_wrong(table),
+        *_beside_the_oracle(table),
+    ]  # fmt: skip
+
+
+def _accuracy(table: Table) -> Iterable[Bar]:
+    for grip, rmse, largest in ((0.76, 3.0, 20.0), (0.87, 5.0, 40.0), (0.92, 8.0, 60.0),
+                                (0.96, None, 100.0)):  # fmt: skip
+        case, title = f"circuit-{grip:g}", f"{100 * grip:.0f} %"
+        if rmse is not None:
+            yield Bar(key=f"{case}_rmse_mm", text=f"{title}: RMSE", limit=rmse,
+                      value=_mm(table.rmse(case, "network")))  # fmt: skip
+        yield Bar(key=f"{case}_largest_mm", text=f"{title}: largest", limit=largest,
+                  value=_mm(table.largest(case, "network")))  # fmt: skip
+        row = table.get(case, "network")
+        off = None
+        if row is not None:
+            off = 100.0 * abs(float(row.result["duration_s"] or 0.0)
+                              / float(row.result["reference_duration_s"] or 1.0) - 1.0)  # fmt: skip
+        yield Bar(key=f"{case}_duration_percent", text=f"{title}: duration off",
+                  unit="%", limit=2.0, value=off)  # fmt: skip
+
+
+def _friction(table: Table) -> Iterable[Bar]:
+    for case, text, limit in (
+        ("slippery-0.8", "friction 0.5, 80 %: largest", 20.0),
+        ("slippery-0.92", "friction 0.5, 92 %: largest", 60.0),
+        ("drop", "drop to 0.75 at 76 %: largest", 150.0),
+    ):
+        value = _mm(table.largest(case, "network"))
+        yield Bar(key=f"{case}_largest_mm", text=text, limit=limit, value=value)
+    steps = [table.largest(f"step-{s:.0f}", "network") for s in STEPS]
+    worst = None if None in steps else max(value for value in steps if value is not None)
+    yield Bar(key="step_largest_mm", text=f"step to 0.5, worst of {len(steps)} bends: largest",
+              limit=300.0, value=_mm(worst))  # fmt: skip
+
+
+def _wrong(table: Table) -> Iterable[Bar]:
+    for model in ("network", "network-secant"):
+        rows = [r for r in table.rows if r.case.wrong and r.model.key == model and r.observer]
+        lost = float(sum(not r.completed for r in rows)) if rows else None
+        yield Bar(key=f"{model}_wrong_lost", text=f"{model} made wrong: lost runs",
+                  unit=f"of {len(rows)}", limit=0.0, value=lost)  # fmt: skip
+
+
+def _beside_the_oracle(table: Table) -> Iterable[Bar]:
+    """Up to 87 % at most 1.3 times the oracle's error and 1 mm, at 92 % twice the oracle's."""
+    for what, measure in (("rmse", table.rmse), ("largest", table.largest)):
+        for grip in (grip for grip in GRIPS if grip <= 0.92):
+            case = f"circuit-{grip:g}"
+            own, oracle = _mm(measure(case, "network")), _mm(measure(case, "oracle"))
+            factor, more = (1.3, 1.0) if grip <= 0.87 else (2.0, 0.0)
+            limit = math.nan if oracle is None else factor * oracle + more
+            name = "RMSE" if what == "rmse" else what
+            yield Bar(key=f"{case}_{what}_beside_oracle_mm", limit=limit,
+                      text=f"{100 * grip:.0f} %: {name} beside the oracle",
+                      value=None if oracle is None else own)  # fmt: skip
+
+
+# Sentences ----------------------------------------------------------------------------------------
+
+
+def sentences(table: Table, searches: dict[bool, Search]) -> list[str]:
+    """What the numbers say, one statement each."""
+    told: list[Callable[[], str | None]] = [
+        lambda: _best_constant(searches),
+        lambda: _on_paper(table),
+        lambda: _over_grip(table, "network"),
+        lambda: _over_grip(table, "network-secant"),
+        lambda: _two_networks(table),
+        lambda: _survival(table),
+        lambda: _observer(table),
+        lambda: _friction_sentence(table),
+        lambda: _claim(table),
+    ]
+    return [sentence for tell in told if (sentence := tell()) is not None]
+
+
+def _best_constant(searches: dict[bool, Search]) -> str:
+    parts = []
+    for observer, found in sorted(searches.items(), reverse=True):
+        at_end = ", at the end of what was tried," if found.at_an_end else ""
+        parts.append(f"x{found.best:g}{at_end} {_with(observer)}")
+    softer = all(found.best < 1.0 for found in searches.values())
+    stiffer = all(found.best > 1.0 for found in searches.values())
+    kind = "softer than" if softer else "stiffer than" if stiffer else "not always softer than"
+    return f"The best constant stiffness is {kind} the nominal one: {' and '.join(parts)}."
+
+
+def _on_paper(table: Table) -> str | None:
+    parts = []
+    for observer in (True, False):
+        a, b = (table.rmse("paper", key, observer) for key in ("constant-best", "network"))
+        if a is None or b is None:
+            return None
+        parts.append(f"{_with(observer)} {judged(a / b)} (RMSE {1e3 * a:.2f} mm with the best "
+                     f"constant, {1e3 * b:.2f} mm with the network)")  # fmt: skip
+    return f"On the paper's road in its wind, adapting the stiffness {' and '.join(parts)}."
+
+
+def _over_grip(table: Table, model: str) -> str | None:
+    parts = []
+    for observer in (True, False):
+        gains = {g: table.gain(f"circuit-{g:g}", "constant-best", model, observer) for g in GRIPS}
+        known = {g: gain for g, gain in gains.items() if gain is not None}
+        if not known:
+            return None
+        shown = ", ".join(
+            f"{gain:.2g} at {100 * g:.0f} %{_lost_mark(table, g, model, observer)}"
+            for g, gain in known.items()
+        )
+        parts.append(f"{_with(observer)} {shown}")
+    return (
+        f"RMSE of the best constant over that of {model}, on circuit (lost runs are charged 5 m): "
+        f"{'; '.join(parts)}."
+    )
+
+
+def _lost_mark(table: Table, grip: float, model: str, observer: bool) -> str:
+    lost = []
+    for key in ("constant-best", model):
+        row = table.get(f"circuit-{grip:g}", key, observer)
+        if row is not None and not row.completed:
+            lost.append("the constant" if key == "constant-best" else model)
+    return f" ({' and '.join(lost)} lost)" if lost else ""
+
+
+def _two_networks(table: Table) -> str | None:
+    parts = []
+    for observer in (True, False):
+        pairs = [
+            (theirs.rmse / ours.rmse)
+            for theirs, ours in zip(
+                table.of("network-secant", observer), table.of("network", observer), strict=True
+            )
+        ]
+        if not pairs:
+            return None
+        better = sum(ratio >= MATTERS for ratio in pairs)
+        worse = sum(ratio <= 1.0 / MATTERS for ratio in pairs)
+        parts.append(f"{_with(observer)} better in {better}, worse in {worse}, alike in "
+                     f"{len(pairs) - better - worse} of {len(pairs)} cases, median factor "
+                     f"{statistics.median(pairs):.2g}")  # fmt: skip
+    return f"Our network against the paper's: {'; '.join(parts)}."
+
+
+def _survival(table: Table) -> str | None:
+    parts, total = [], 0
+    for model in MODELS:
+        for observer in (True, False):
+            rows = table.of(model.key, observer)
+            total = max(total, len(rows))
+            where = ", ".join(f"{r.case.scenario} {r.case.title}" if r.case.group == "grip"
+                              else r.case.title for r in rows if not r.completed)  # fmt: skip
+            if where:
+                parts.append(f"{model.key} {_with(observer)}: {where}")
+    if not total:
+        return None
+    if not parts:
+        return f"No model lost the car in any of the {total} cases."
+    return f"The car was lost, of {total} cases each, by {'; '.join(parts)}; by no other model."
+
+
+def _observer(table: Table) -> str | None:
+    parts = []
+    for key in ("constant-best", "network"):
+        pairs = list(zip(table.of(key, False), table.of(key, True), strict=True))
+        if not pairs:
+            return None
+        factor = geometric_mean(without.rmse / with_it.rmse for without, with_it in pairs)
+        parts.append(f"{factor:.2g} times for {key}")
+    return f"The observer alone makes the RMSE smaller by (geometric mean): {', '.join(parts)}."
+
+
+def _friction_sentence(table: Table) -> str | None:
+    cases = ["drop", *(f"step-{s:.0f}" for s in STEPS)]
+    ours = [row for key in cases if (row := table.get(key, "network")) is not None]
+    known = [row for key in cases if (row := table.get(key, "oracle")) is not None]
+    if not ours or len(ours) != len(known):
+        return None
+    factor = geometric_mean(a.rmse / b.rmse for a, b in zip(ours, known, strict=True))
+    lost = sum(not row.completed for row in ours)
+    return (
+        f"Friction that nobody announced: the network, which estimates it, lost {lost} of "
+        f"{len(ours)} runs; its RMSE is {factor:.2g} times that of the oracle, which is told."
+    )
+
+
+def _claim(table: Table) -> str | None:
+    parts = []
+    for observer in (True, False):
+        pairs = list(
+            zip(table.of("constant-best", observer), table.of("network-secant", observer),
+                strict=True)
+        )  # fmt: skip
+        if not pairs:
+            return None
+        ratios = [constant.rmse / secant.rmse for constant, secant in pairs]
+        better = sum(ratio >= MATTERS for ratio in ratios)
+        worse = sum(ratio <= 1.0 / MATTERS for ratio in ratios)
+        parts.append(f"{_with(observer)} it is better in {better}, worse in {worse} and alike in "
+                     f"{len(ratios) - better - worse} of {len(ratios)} cases")  # fmt: skip
+        verdict = better > worse
+        parts[-1] += f", so the claim {'holds' if verdict else 'does not hold'} there"
+    return (
+        "The paper's claim is that stiffness predicted by its network makes the LPV-MPC better. In "
+        f"our controller, against the best constant: {'; '.join(parts)}."
+    )
+
+
+def judged(ratio: float) -> str:
+    """A ratio of errors, before over after, in words."""
+    if ratio >= MATTERS:
+        return f"helps {ratio:.2g} times"
+    if ratio <= 1.0 / MATTERS:
+        return f"hurts {1.0 / ratio:.2g} times"
+    return "changes nothing that matters"
+
+
+def _with(observer: bool) -> str:
+    return "with the observer" if observer else "without it"
+
+
+def _mm(value: float | None) -> float | None:
+    return None if value is None else 1e3 * value
+
+
+def _ratio(a: float | None, b: float | None) -> float | None:
+    return None if a is None or b is None else a / b
