@@ -7,9 +7,10 @@ documented car: `car.params` and `car.tires` are those of the packaged models/ve
 
 from __future__ import annotations
 
+import copy
 import importlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -139,7 +140,7 @@ class Series:
 
     name: str
     """Part of the file name, in lower case with hyphens."""
-    columns: dict[str, npt.ArrayLike]
+    columns: Mapping[str, npt.ArrayLike]
     """Column by name (with the unit, as in `ay_mps2`), all of one length."""
 
 
@@ -211,6 +212,8 @@ class CarUnderTest:
 
     model: mujoco.MjModel
     """The compiled car that the plants simulate."""
+    documented: mujoco.MjModel
+    """The compiled documented car, to read what `params` does not hold; not to be changed."""
     params: VehicleParams
     """Parameters of the documented car."""
     tires: tuple[Array, Array]
@@ -222,7 +225,12 @@ class CarUnderTest:
     def packaged(cls) -> CarUnderTest:
         """The car of models/vehicle.xml."""
         model = compile_model(visual=False)
-        return cls(model=model, params=parameters(model), tires=tires(model))
+        return cls(
+            model=copy.copy(model),
+            documented=model,
+            params=parameters(model),
+            tires=tires(model),
+        )
 
     def plant(self, **options: Any) -> Plant:
         """A new plant, at rest.
