@@ -1,0 +1,267 @@
+import json
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from lpvmpc import batch, tuning, tuning_report, weights_file
+from lpvmpc.controllers import CONTROLLERS
+from lpvmpc.errors import DataError, LPVMPCError, OptionError, UnknownNameError
+from lpvmpc.mpc import Weights
+from lpvmpc.tuning import NERVOUS, Space, Task, stages, tune
+
+TASK = Task(controller="stanley", generations=4, population=6, scenarios=("tuning-b",))
+
+
+def fake_log(vx=10.0, steer=0.0, reached=100.0, completed=True):
+    """A straight run of 50 periods at constant errors, its steering alternating by +-`steer`."""
+    n = 50
+    columns = {name: np.zeros(n) for name in ("x_m", "y_m", "vy_mps", "ay_mps2", "kkt_residual")}
+    columns |= {
+        "vx_mps": np.full(n, vx),
+        "vx_ref_mps": np.full(n, 10.0),
+        "ey_m": np.full(n, 0.02),
+        "epsi_rad": np.full(n, 0.003),
+        "delta_cmd_rad": steer * (-1.0) ** np.arange(n),
+        "solved": np.ones(n, bool),
+        "fallback": np.zeros(n, np.int8),
+    }
+    meta = dict.fromkeys(("scenario", "controller", "stiffness", "seed", "versions", "wall_s"))
+    meta |= {"completed": completed, "reason": "", "s_end_m": reached, "Ts": 0.033}
+    meta |= dict.fromkeys(("duration_s", "reference_duration_s", "realtime_factor"), 1.0)
+    meta["model_sha256"] = ""
+    scenario = SimpleNamespace(path=SimpleNamespace(length=100.0))
+    return SimpleNamespace(
+        columns=columns, meta=meta, timing={"step_us": np.ones(n)}, scenario=scenario
+    )
+
+
+@pytest.fixture
+def bowl(monkeypatch):
+    """A cost without driving: the distance of the weights from a point inside the ranges."""
+
+    def cost(self, coordinates):
+        low, high = self.space.bounds
+        others = self.runs[0].controller_options["weights"]
+        assert set(others) == set(weights_file.as_dict(tuning._by_hand(self.controller)))
+        return float(np.sum(np.square((coordinates - low) / (high - low) - 0.4)))
+
+    monkeypatch.setattr(tuning.DrivingCost, "__call__", cost)
+
+
+# What it costs ----------------------------------------------------------------------------------
+
+
+def test_the_cost_is_the_papers_sum_of_three_rmse():
+    expected = 0.02 + 0.003 + 0.5
+    # the sum of three numbers of this size, to rounding
+    assert tuning.cost(fake_log(vx=10.5)) == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_nervous_command_is_charged():
+    # +-1 mrad from period to period: second differences of 4 mrad in 33 ms
+    calm, nervous = tuning.cost(fake_log()), tuning.cost(fake_log(steer=0.001))
+    assert nervous - calm == pytest.approx(NERVOUS * 0.004 / 0.033, rel=1e-9)
+
+
+def test_a_lost_car_costs_more_than_any_that_arrives_and_less_the_further_it_came():
+    early = tuning.cost(fake_log(completed=False, reached=10.0))
+    late = tuning.cost(fake_log(completed=False, reached=90.0))
+    assert early > late > tuning.LOST > tuning.cost(fake_log(vx=15.0))
+
+
+# What is searched -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_no_controller_gets_more_than_the_budget(name):
+    task = Task(controller=name)
+    searches = stages(task)
+    total = sum(stage.settings.evaluations for stage in searches)
+    # the swarm moves by whole generations of 13 particles
+    assert task.budget - 13 < total <= task.budget == 260
+    found = [weight for stage in searches for weight in stage.space.ranges]
+    assert len(found) == len(set(found)) > 0
+
+
+def test_pid_gains_are_found_by_the_swarm_first():
+    first, second = stages(Task(controller="lmpc-pso-pid"))
+    assert (first.method, second.method) == ("pso", "genetic")
+    assert list(first.space.ranges) == ["kp", "ki", "kd"]
+    assert not set(first.space.ranges) & set(second.space.ranges)
+
+
+def test_weights_of_absent_parts_are_not_searched():
+    (stage,) = stages(Task(controller="lpv-mpc-paper"))
+    assert not {"observer_gain", "slip_cap", "terminal"} & set(stage.space.ranges)
+
+
+def test_weights_and_coordinates_are_each_others_inverse():
+    space = Space(Weights.RANGES)
+    low, high = space.bounds
+    for share in (0.0, 0.3, 1.0):
+        point = low + share * (high - low)
+        # log10 and its inverse, to rounding
+        assert np.allclose(space.coordinates(space.weights(point)), point, rtol=0.0, atol=1e-12)
+    weights = space.weights(high)
+    assert all(value <= Weights.RANGES[name][1] for name, value in weights.items())
+
+
+def test_values_outside_the_ranges_begin_on_their_bounds():
+    space = Space({"q_vy": (0.01, 10.0)})
+    assert space.weights(space.coordinates({"q_vy": 0.0})) == {"q_vy": pytest.approx(0.01)}
+
+
+# Tuning -----------------------------------------------------------------------------------------
+
+
+def test_tuning_improves_and_keeps_the_weights_that_are_not_searched(bowl):
+    tuned = tune(Task(controller="lpv-mpc-paper", generations=8, population=10))
+    (result,) = tuned.results
+    assert result.cost < result.history[0].best
+    for name in ("terminal", "observer_gain", "slip_cap"):
+        assert tuned.weights[name] == tuned.by_hand[name]
+    assert tuned.weights["q_ey"] != tuned.by_hand["q_ey"]
+
+
+@pytest.mark.parametrize("stop", range(1, 5))
+def test_resumed_tuning_ends_in_the_same_weights(bowl, tmp_path, stop):
+    undisturbed = tune(TASK)
+    calls = []
+
+    def interrupt(stage, state):
+        calls.append(state)
+        if len(calls) == stop:
+            raise KeyboardInterrupt
+
+    file = tmp_path / "checkpoint.json"
+    with pytest.raises(KeyboardInterrupt):
+        tune(TASK, checkpoint=file, after=interrupt)
+    resumed = tune(TASK, checkpoint=file, resume=True)
+    assert resumed.weights == undisturbed.weights  # bit for bit
+    assert resumed.evaluations == undisturbed.evaluations
+
+
+def test_the_seed_decides(bowl):
+    other = Task(controller="stanley", generations=4, population=6, seed=1)
+    assert tune(TASK).weights == tune(TASK).weights != tune(other).weights
+
+
+def test_an_individual_that_raises_is_charged_and_named(bowl, monkeypatch):
+    kind = tuning.DrivingCost
+    cost, calls = kind.__call__, []
+
+    def brittle(self, coordinates):
+        calls.append(coordinates)
+        if len(calls) == 3:
+            raise RuntimeError("the worker caught fire")
+        return cost(self, coordinates)
+
+    monkeypatch.setattr(kind, "__call__", brittle)
+    tuned = tune(Task(generations=2, population=6))
+    (failure,) = tuned.results[0].failures
+    assert (failure.generation, failure.individual) == (0, 2)
+    assert failure.text == "RuntimeError: the worker caught fire"
+    assert "Generation 0, individual 2: RuntimeError" in tuning_report.report(tuned, [], [])
+
+
+def test_a_controller_that_never_drives_is_one_sentence(monkeypatch):
+    def broken(self, coordinates):
+        raise ValueError("no road")
+
+    monkeypatch.setattr(tuning.DrivingCost, "__call__", broken)
+    with pytest.raises(LPVMPCError, match="No weights of lpv-mpc could be driven: ValueError"):
+        tune(Task(generations=1, population=4))
+
+
+def test_one_worker_and_two_find_the_same(tmp_path):
+    (tmp_path / "road.csv").write_text(
+        "# x_m,y_m,w_tr_right_m,w_tr_left_m,vx_mps\n"
+        + "".join(f"{x},{0.02 * math.sin(x / 8.0)},3,3,10\n" for x in range(0, 62, 2))
+    )
+    task = Task(
+        controller="pure-pursuit",
+        scenarios=(str(tmp_path / "road.csv"),),
+        generations=1,
+        population=4,
+    )
+    with batch.workers(2) as two:
+        assert tune(task, map=two).weights == tune(task).weights
+
+
+# Bad input --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "sentence"),
+    [
+        ({"controller": "lpv"}, UnknownNameError, "Unknown controller 'lpv'"),
+        ({"scenarios": ()}, OptionError, "scenarios is"),
+        ({"generations": 0}, OptionError, "generations is 0, but must be"),
+        ({"population": 3}, OptionError, "population is 3, but must be"),
+    ],
+)
+def test_tasks_without_meaning_are_refused(options, error, sentence):
+    with pytest.raises(error) as raised:
+        Task(**options)
+    assert sentence in str(raised.value)
+
+
+@pytest.fixture
+def checkpoint(bowl, tmp_path):
+    file = tmp_path / "checkpoint.json"
+    tune(TASK, checkpoint=file)
+    return file
+
+
+def test_another_task_is_not_resumed(checkpoint):
+    other = Task(controller="stanley", generations=5, population=6, scenarios=("tuning-b",))
+    with pytest.raises(DataError, match="was made with generations 4, not 5"):
+        tune(other, checkpoint=checkpoint, resume=True)
+
+
+def test_another_version_of_the_package_is_not_resumed(checkpoint, monkeypatch):
+    monkeypatch.setattr(batch, "foundation", lambda: "another")
+    with pytest.raises(DataError, match="with another version of the package"):
+        tune(TASK, checkpoint=checkpoint, resume=True)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "sentence"),
+    [
+        (lambda text: text[:-40], "is damaged"),
+        (lambda text: "[]", "is no checkpoint of a tuning"),
+        (lambda text: text.replace('"format": 1', '"format": 99', 1), "has format 99"),
+        (lambda text: text.replace('"evaluations": ', '"evaluations": 1', 1), "is damaged"),
+    ],
+)
+def test_a_damaged_checkpoint_is_one_sentence(checkpoint, spoil, sentence):
+    checkpoint.write_text(spoil(checkpoint.read_text()))
+    with pytest.raises(DataError) as error:
+        tune(TASK, checkpoint=checkpoint, resume=True)
+    assert sentence in str(error.value) and "checkpoint.json" in str(error.value)
+
+
+def test_nothing_to_resume_is_one_sentence(tmp_path):
+    with pytest.raises(DataError, match="There is no tuning to resume in"):
+        tune(TASK, checkpoint=tmp_path / "none.json", resume=True)
+
+
+# What it leaves behind --------------------------------------------------------------------------
+
+
+def test_the_weights_it_saves_are_those_it_found(bowl, tmp_path):
+    tuned = tune(TASK)
+    result = {
+        "scenario": "tuning-b", "lateral_rmse_m": 0.1, "lateral_max_m": None,
+        "heading_rmse_rad": 0.2, "speed_rmse_mps": 0.3, "completed": False, "reason": "spun",
+    }  # fmt: skip
+    files = tuning_report.save(tuned, [result], [result], tmp_path)
+    assert weights_file.read_weights(tmp_path / "weights.toml", "stanley") == tuned.weights
+    assert json.loads((tmp_path / "tuning.json").read_text())["weights"] == tuned.weights
+    text = (tmp_path / "tuning.md").read_text()
+    assert "lost: spun" in text and "100.00 / -" in text
+    rows = (tmp_path / "history.csv").read_text().splitlines()
+    assert len(rows) == 1 + sum(len(r.history) for r in tuned.results)
+    assert all(file.stat().st_size > 100 for file in files)
