@@ -126,7 +126,7 @@ def cores() -> int:
 class Table:
     """The generations as they come: a live table on a terminal, lines elsewhere."""
 
-    COLUMNS = ("search", "generation", "best", "mean", "worst", "evaluations", "s")
+    COLUMNS = ("search", "generation", "best", "mean", "worst", "calls", "s")
 
     def __init__(self) -> None:
         self.start = time.perf_counter()
@@ -141,7 +141,7 @@ class Table:
             self.live = Live(self.table(), auto_refresh=False)
             self.live.start()
         else:
-            print("  ".join(name.rjust(11) for name in self.COLUMNS))
+            print(" ".join(name.rjust(10) for name in self.COLUMNS))
         return self
 
     def __call__(self, stage: Stage, state: State) -> None:
@@ -154,7 +154,7 @@ class Table:
         if self.live is not None:
             self.live.update(self.table(), refresh=True)
         else:
-            print("  ".join(cell.rjust(11) for cell in row), flush=True)
+            print(" ".join(cell.rjust(10) for cell in row), flush=True)
         new = [f for f in state.failures if f.generation == state.generation]
         for failure in new:
             print(f"Warning: generation {failure.generation}, individual {failure.individual} "
