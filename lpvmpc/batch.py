@@ -13,7 +13,7 @@ import json
 import os
 import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from functools import cache, lru_cache
 from pathlib import Path
@@ -233,12 +233,10 @@ def drive_all(
     if progress is not None:
         progress(done, len(runs))
     missing = {key: run for key, run in zip(keys, runs, strict=True) if key not in found}
-    drivers = {
-        "local": lambda: _here(missing) if jobs == 1 else _processes(missing, jobs),
-        "ray": lambda: _on_ray(missing, jobs, address),
-    }
     if missing:
-        for key, result, failed in drivers[backend]():
+        alone = backend == "local" and jobs == 1
+        outcomes = _here(missing) if alone else _elsewhere(missing, jobs, backend, address)
+        for key, result, failed in outcomes:
             found[key] = result
             if kept is not None and not failed:
                 write_json(kept / f"{key}.json", result)
@@ -266,30 +264,26 @@ def workers(
         OptionError: As `drive_all`.
         LPVMPCError: Ray is not installed or not reachable, or a worker process died.
     """
-    from joblib import Parallel, delayed, parallel_config
+    from joblib import Parallel, delayed
     from joblib.externals.loky.process_executor import BrokenProcessPool
 
     _check_workers(jobs, backend, address)
     if backend == "local" and jobs == 1:
         yield lambda function, things: [function(thing) for thing in things]
         return
-    limit = {"inner_max_num_threads": 1} if backend == "local" else {}
-    where = _ray(address) if backend == "ray" else nullcontext()
-    name = "loky" if backend == "local" else "ray"
-    with where, parallel_config(name, n_jobs=jobs, **limit):  # type: ignore[arg-type]
-        with Parallel(batch_size=1, pre_dispatch="all") as parallel:
-            try:
-                yield lambda function, things: parallel(
-                    delayed(_undisturbed)(function, thing) for thing in things
-                )
-            except BrokenProcessPool as error:
-                raise LPVMPCError(DIED) from error
+    with _backend(jobs, backend, address), Parallel(batch_size=1, pre_dispatch="all") as parallel:
+        try:
+            yield lambda function, things: parallel(
+                delayed(_undisturbed)(function, thing) for thing in things
+            )
+        except BrokenProcessPool as error:
+            raise LPVMPCError(DIED) from error
 
 
-def _undisturbed(function: Callable[[T], R], thing: T) -> R:
+def _undisturbed(function: Callable[..., R], *arguments: Any) -> R:
     """Call a function in a worker, which the parent alone tells when to stop."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    return function(thing)
+    return function(*arguments)
 
 
 def _check_workers(jobs: int, backend: str, address: str | None) -> None:
@@ -333,48 +327,47 @@ def _outcome(key: str, run: Run) -> Outcome:
     return key, metrics(log), False
 
 
-def _remote(key: str, run: Run) -> Outcome:
-    """The same in a worker: the parent alone is told when to stop."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    return _outcome(key, run)
-
-
 def _here(runs: Mapping[str, Run]) -> Iterator[Outcome]:
+    """One after the other in this process."""
     for key, run in runs.items():
         yield _outcome(key, run)
 
 
-def _processes(runs: Mapping[str, Run], jobs: int) -> Iterator[Outcome]:
-    """Several processes of this machine, each with one thread."""
-    from joblib import parallel_config
-
-    with parallel_config("loky", n_jobs=jobs, inner_max_num_threads=1):
-        yield from _parallel(runs)
-
-
-def _on_ray(runs: Mapping[str, Run], jobs: int, address: str | None) -> Iterator[Outcome]:
-    """The workers of a Ray cluster."""
-    from joblib import parallel_config
-
-    with _ray(address):
-        with parallel_config("ray", n_jobs=jobs):
-            yield from _parallel(runs)
-
-
-def _parallel(runs: Mapping[str, Run]) -> Iterator[Outcome]:
-    """Results as they come, from the workers of the joblib backend that is set."""
+def _elsewhere(
+    runs: Mapping[str, Run], jobs: int, backend: str, address: str | None
+) -> Iterator[Outcome]:
+    """In worker processes; yields each outcome as it comes."""
     from joblib import Parallel, delayed
     from joblib.externals.loky.process_executor import BrokenProcessPool
 
-    # One run per message: a run takes seconds, and each result is to be kept as soon as it is there
-    parallel = Parallel(return_as="generator_unordered", batch_size=1)
-    results = parallel(delayed(_remote)(key, run) for key, run in runs.items())
-    try:
-        yield from results
-    except BrokenProcessPool as error:
-        raise LPVMPCError(DIED) from error
-    finally:
-        results.close()  # also ends the workers' runs after Ctrl-C
+    calls = [delayed(_undisturbed)(_outcome, key, run) for key, run in runs.items()]
+    with _backend(jobs, backend, address):
+        if backend == "ray":  # cannot give results one by one: some runs at a time, then
+            with Parallel(batch_size=1) as parallel:
+                for i in range(0, len(calls), 4 * jobs):
+                    yield from parallel(calls[i : i + 4 * jobs])
+            return
+        # one run per message: it takes seconds, and is to be kept as soon as it has ended
+        outcomes = Parallel(return_as="generator_unordered", batch_size=1)(calls)
+        try:
+            yield from outcomes
+        except BrokenProcessPool as error:
+            raise LPVMPCError(DIED) from error
+        finally:
+            outcomes.close()  # after Ctrl-C it also ends what the workers are doing
+
+
+@contextmanager
+def _backend(jobs: int, backend: str, address: str | None) -> Iterator[None]:
+    """Make joblib use processes of this machine, each with one thread, or a Ray cluster."""
+    from joblib import parallel_config
+
+    if backend == "ray":
+        with _ray(address), parallel_config("ray", n_jobs=jobs):
+            yield
+    else:
+        with parallel_config("loky", n_jobs=jobs, inner_max_num_threads=1):
+            yield
 
 
 @contextmanager
@@ -392,10 +385,10 @@ def _ray(address: str | None) -> Iterator[None]:
     ours = not ray.is_initialized()
     if ours:
         try:
-            ray.init(address=address, log_to_driver=False)
-        except (ConnectionError, RuntimeError, ValueError) as error:
-            why = described(error)
-            raise LPVMPCError(f"Ray at {address!r} cannot be reached: {why}.") from None
+            ray.init(address=address, log_to_driver=False, include_dashboard=False)
+        except Exception as error:  # Ray raises plain Exceptions too
+            where = "cannot be started" if address is None else f"at {address!r} cannot be reached"
+            raise LPVMPCError(f"Ray {where}: {described(error)}.") from error
     try:
         yield
     finally:
