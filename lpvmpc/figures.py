@@ -8,14 +8,31 @@ global state are needed, and the bytes of a PNG depend on the log and the matplo
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lpvmpc.drawing import (
+    BLUE,
+    COLUMN,
+    DOUBLE,
+    DPI,
+    GREEN,
+    GREY,
+    ORANGE,
+    PINK,
+    RED,
+    SKY,
+    STYLE,
+    blank,
+    peak,
+    styled,
+    y_label,
+)
 from lpvmpc.errors import OutputError
+from lpvmpc.log import WHEELS
 from lpvmpc.vehicle import GRAVITY
 
 if TYPE_CHECKING:
@@ -30,38 +47,14 @@ PAPER = {
 }
 """Results printed in the paper. Its largest speed error is below its RMSE; quoted as printed."""
 
-BLUE, SKY, GREEN, ORANGE, RED, PINK, GREY = (
-    "#0072B2", "#56B4E9", "#009E73", "#E69F00", "#D55E00", "#CC79A7", "#6E6E6E")
-"""Colours of Okabe and Ito, told apart with every common colour-vision deficiency, and a grey."""
+SPAN = 25.0
+"""Half the width of a zoom on the path [m]."""
 
-COLUMN, DOUBLE = 3.46, 7.13
-"""Widths of one and of two columns [inch]."""
-
-STYLE: dict[str, Any] = {
-    "font.family": "DejaVu Sans", "font.size": 7.5, "axes.titlesize": 8.0,
-    "axes.titlelocation": "left", "axes.labelsize": 7.5, "xtick.labelsize": 7.0,
-    "ytick.labelsize": 7.0, "legend.fontsize": 6.8, "legend.frameon": False,
-    "legend.handlelength": 1.6, "legend.borderaxespad": 0.2, "axes.spines.top": False,
-    "axes.spines.right": False, "axes.linewidth": 0.6, "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6, "lines.linewidth": 1.0, "axes.grid": True, "grid.color": "#DDDDDD",
-    "grid.linewidth": 0.5, "axes.axisbelow": True,
-    "figure.constrained_layout.use": True,
-}
-DPI = 300
-"""Resolution of the files [dots per inch]."""
-
-
-def _styled(draw: Callable[[Any], Figure]) -> Callable[[Any], Figure]:
-    """Draw in the house style, whatever the caller's settings are."""
-
-    @functools.wraps(draw)
-    def styled(log: Any) -> Figure:
-        import matplotlib
-
-        with matplotlib.rc_context({**matplotlib.rcParamsDefault, **STYLE}):
-            return draw(log)
-
-    return styled
+__all__ = [
+    "BLUE", "COLUMN", "DOUBLE", "DPI", "GREEN", "GREY", "ORANGE", "PAPER", "PINK", "RED", "SKY",
+    "STYLE", "commands", "computation_time", "errors", "gg", "path", "save_all", "speed_wind",
+    "tires", "zooms",
+]  # fmt: skip
 
 
 def save_all(log: Any, directory: str | FilePath) -> list[FilePath]:
@@ -80,7 +73,7 @@ def save_all(log: Any, directory: str | FilePath) -> list[FilePath]:
     directory = FilePath(directory)
     figures: dict[str, Callable[[Any], Figure]] = {
         "speed_wind": speed_wind, "path": path, "commands": commands, "errors": errors,
-        "computation_time": computation_time, "gg": gg,
+        "computation_time": computation_time, "tires": tires, "gg": gg,
     }
     files = []
     try:
@@ -93,21 +86,21 @@ def save_all(log: Any, directory: str | FilePath) -> list[FilePath]:
     return files
 
 
-@_styled
+@styled
 def speed_wind(log: Any) -> Figure:
     """Speed with its reference, and the side wind, over time (the paper's Fig. 7)."""
     c = log.columns
     figure, (top, bottom) = _rows(log, "Speed and side wind", 2, (1.6, 1.0), height=2.7)
     top.plot(c["t_s"], c["vx_mps"], color=BLUE, lw=1.6, label="driven")
     top.plot(c["t_s"], c["vx_ref_mps"], color="black", lw=0.8, ls=(0, (4, 2)), label="reference")
-    _axis(top, "speed [m/s]", legend=2)
+    y_label(top, "speed [m/s]", legend=2)
     bottom.plot(c["t_s"], c["wind_mps"], color=GREEN)
-    _axis(bottom, "wind [m/s]", zero=True)
+    y_label(bottom, "wind [m/s]", zero=True)
     bottom.set_xlabel("time [s]")
     return figure
 
 
-@_styled
+@styled
 def path(log: Any) -> Figure:
     """Driven path on the road, with three zooms of the lateral error (the paper's Fig. 8).
 
@@ -117,7 +110,7 @@ def path(log: Any) -> Figure:
     c = log.columns
     wide, high = np.ptp(c["x_ref_m"]) + 40.0, np.ptp(c["y_ref_m"]) + 40.0  # m
     tall = float(np.clip(2.9 * high / wide, 0.9, 2.9))  # inch
-    figure = _figure(COLUMN, tall + 1.95)
+    figure = blank(COLUMN, tall + 1.95)
     grid = figure.add_gridspec(2, 3, height_ratios=(tall, 1.0))
     plane = figure.add_subplot(grid[0, :])
     _title(plane, log, "Path")
@@ -128,34 +121,33 @@ def path(log: Any) -> Figure:
     plane.plot(c["x_m"], c["y_m"], color=BLUE, lw=1.6, label="driven", zorder=3)
     plane.plot(c["x_m"][0], c["y_m"][0], "o", color="black", ms=3.5, label="start", zorder=5)
     plane.set_aspect("equal", adjustable="datalim")
-    _axis(plane, "y [m]")
+    y_label(plane, "y [m]")
     plane.set_xlabel("x [m]")
     handles, labels = plane.get_legend_handles_labels()
     figure.legend(handles, labels, ncols=4, loc="outside lower center")
 
-    span = 25.0  # half the width of a zoom [m]
-    for index, (letter, (what, row)) in enumerate(zip("ABC", _zooms(c).items(), strict=True)):
+    for index, (letter, (what, row)) in enumerate(zip("ABC", zooms(c).items(), strict=True)):
         mark = (float(c["x_m"][row]), float(c["y_m"][row]))
         plane.plot(*mark, "o", ms=5.0, mfc="white", mec=RED, mew=1.0, zorder=6)
         plane.annotate(letter, mark, xytext=(4, 4), textcoords="offset points", color=RED,
                        weight="bold", zorder=7)
         zoom = figure.add_subplot(grid[1, index])
         along = c["s_m"] - c["s_m"][row]
-        near = np.abs(along) <= span
+        near = np.abs(along) <= SPAN
         zoom.axhline(0.0, color="black", lw=0.8, ls=(0, (4, 2)))
         zoom.plot(along[near], 1e3 * c["ey_m"][near], color=BLUE, lw=1.2)
-        limit = 1.15e3 * _largest(c["ey_m"][near])
+        limit = max(1.15e3 * peak(c["ey_m"][near]), 0.01)
         zoom.set_ylim(-limit, limit)
         zoom.set_title(f"{letter}  {what}", fontsize=6.8, color=RED)
-        _axis(zoom, "left error [mm]" if index == 0 else "")
+        y_label(zoom, "left error [mm]" if index == 0 else "")
         zoom.locator_params(axis="y", nbins=3)
-        zoom.set_xlim(-span, span)
+        zoom.set_xlim(-SPAN, SPAN)
         zoom.set_xticks((-20, 0, 20))
-        zoom.set_xlabel(f"s − {c['s_m'][row]:.0f} [m]")
+        zoom.set_xlabel(f"s − {max(c['s_m'][row], 0.0):.0f} [m]")
     return figure
 
 
-@_styled
+@styled
 def commands(log: Any) -> Figure:
     """Steering, acceleration and lateral velocity (the paper's Fig. 9)."""
     c = log.columns
@@ -164,18 +156,18 @@ def commands(log: Any) -> Figure:
     axes[0].plot(t, np.rad2deg(c["delta_cmd_rad"]), color=RED, label="command")
     axes[0].plot(t, np.rad2deg(c["delta_rad"]), color="black", lw=0.7, ls=(0, (4, 2)),
                  label="road wheel")
-    _axis(axes[0], "steering [deg]", legend=2, zero=True)
+    y_label(axes[0], "steering [deg]", legend=2, zero=True)
     axes[1].plot(t, c["ax_cmd_mps2"], color=RED, label="command")
     axes[1].plot(t, c["ax_mps2"], color="black", lw=0.7, ls=(0, (4, 2)), label="centre of mass")
-    _axis(axes[1], "accel. [m/s²]", legend=2, zero=True)
+    y_label(axes[1], "accel. [m/s²]", legend=2, zero=True)
     axes[2].plot(t, c["vy_mps"], color=BLUE)
-    _axis(axes[2], "lateral [m/s]", zero=True)
+    y_label(axes[2], "lateral [m/s]", zero=True)
     axes[2].set_xlabel("time [s]")
     figure.align_ylabels(axes)
     return figure
 
 
-@_styled
+@styled
 def errors(log: Any) -> Figure:
     """Tracking errors beside the paper's printed values (the paper's Fig. 10).
 
@@ -185,7 +177,7 @@ def errors(log: Any) -> Figure:
     """
     c = log.columns
     compared = log.meta["scenario"] == "paper"
-    figure = _figure(DOUBLE, 4.0)
+    figure = blank(DOUBLE, 4.0)
     axes = figure.subplots(3, 2, sharex=True)
     rows = (
         ("lateral", "mm", 1e3 * c["ey_m"], 1e3 * PAPER["lateral_rmse_m"],
@@ -197,7 +189,7 @@ def errors(log: Any) -> Figure:
     )
     for (signed, magnitude), (name, unit, error, rmse, largest) in zip(axes, rows, strict=True):
         signed.plot(c["t_s"], error, color=BLUE, lw=0.9)
-        _axis(signed, f"{name} [{unit}]", zero=True)
+        y_label(signed, f"{name} [{unit}]", zero=True)
         size = np.maximum(np.abs(error), 1e-4 * largest)  # zeros have no logarithm
         ours = float(np.sqrt(np.nanmean(np.square(error))))
         magnitude.semilogy(c["t_s"], size, color=SKY, lw=0.7, label="|error|")
@@ -208,9 +200,9 @@ def errors(log: Any) -> Figure:
             magnitude.axhline(largest, color="black", lw=1.0, ls=(0, (1, 1.5)),
                               label=f"paper max {largest:.3g}")
         floor = max(float(np.nanpercentile(size, 2.0)), 1e-3 * rmse)
-        top = max(largest, rmse, _largest(error)) if compared else _largest(error)
+        top = max(largest, rmse, peak(error)) if compared else peak(error)
         magnitude.set_ylim(min(floor, 0.1 * top), 2.5 * top)
-        _axis(magnitude, f"|{name}| [{unit}]")
+        y_label(magnitude, f"|{name}| [{unit}]")
         magnitude.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     _title(axes[0, 0], log, "Tracking errors")
     for axis in axes[-1]:
@@ -219,13 +211,13 @@ def errors(log: Any) -> Figure:
     return figure
 
 
-@_styled
+@styled
 def computation_time(log: Any) -> Figure:
     """Time of each control step against the control period (the paper's Fig. 11)."""
     t = log.timing["t_s"]
     step = 1e-3 * np.asarray(log.timing["step_us"], dtype=float)  # ms
     period = 1e3 * float(log.meta.get("Ts") or (t[1] - t[0] if t.size > 1 else 0.033))
-    figure = _figure(COLUMN, 2.4)
+    figure = blank(COLUMN, 2.4)
     axis = figure.subplots()
     _title(axis, log, "Control step time")
     axis.plot(t, step, ".", ms=1.6, color=SKY, label="step", rasterized=True)
@@ -240,18 +232,52 @@ def computation_time(log: Any) -> Figure:
     axis.set_yscale("log")
     axis.set_ylim(0.5 * min(np.min(step, initial=period), 1.0), 2.5 * max(
         period, np.max(step, initial=0.0)))
-    _axis(axis, "thread CPU time [ms]")
+    y_label(axis, "thread CPU time [ms]")
     axis.set_xlabel("time [s]")
     handles, labels = axis.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=2)
     return figure
 
 
-@_styled
+@styled
+def tires(log: Any) -> Figure:
+    """Slip angle, slip ratio, load and used friction of each wheel.
+
+    Slip angles have the sign of the force that they give, to the left. Used is the share
+    |F| / (mu Fz) of the friction that the wheel has at its load; 1 is its peak.
+    """
+    c = log.columns
+    figure = blank(DOUBLE, 5.2)
+    axes = figure.subplots(4, 1, sharex=True)
+    _title(axes[0], log, "Tires")
+    colours = dict(zip(WHEELS, (BLUE, SKY, RED, ORANGE), strict=True))
+    for wheel, colour in colours.items():
+        Fx, Fy, Fz = (c[f"F{direction}_{wheel}_N"] for direction in "xyz")
+        # a wheel in the air has no friction to use
+        share = np.hypot(Fx, Fy) / np.where(Fz > 1.0, c[f"mu_{wheel}"] * Fz, np.nan)
+        curves = (np.rad2deg(c[f"slip_angle_{wheel}_rad"]), 100.0 * c[f"slip_ratio_{wheel}"],
+                  1e-3 * Fz, share)
+        for axis, curve in zip(axes, curves, strict=True):
+            axis.plot(c["t_s"], curve, color=colour, lw=0.8, label=wheel,
+                      ls="-" if wheel[1] == "l" else (0, (5, 1.5)))
+    y_label(axes[0], "slip angle [deg]", zero=True)
+    y_label(axes[1], "slip ratio [%]", zero=True)
+    y_label(axes[2], "load [kN]")
+    y_label(axes[3], "used friction")
+    axes[2].set_ylim(bottom=0.0)
+    axes[3].axhline(1.0, color="black", lw=1.0, ls=(0, (1, 1.5)), label="peak")
+    axes[3].set_ylim(0.0, 1.1)
+    axes[3].set_xlabel("time [s]")
+    figure.align_ylabels(axes)
+    figure.legend(*axes[3].get_legend_handles_labels(), loc="outside lower center", ncols=5)
+    return figure
+
+
+@styled
 def gg(log: Any) -> Figure:
     """Accelerations of the centre of mass inside the friction circle, coloured by speed."""
     c = log.columns
-    figure = _figure(COLUMN, 3.0)
+    figure = blank(COLUMN, 3.0)
     axis = figure.subplots()
     _title(axis, log, "Accelerations")
     points = axis.scatter(c["ay_mps2"], c["ax_mps2"], c=c["vx_mps"], s=2.5, cmap="cividis",
@@ -265,38 +291,40 @@ def gg(log: Any) -> Figure:
     axis.plot(radius * np.cos(angle), radius * np.sin(angle), color=RED, ls=(0, (4, 2)),
               label=f"friction circle, {mu:.2g} g")
     axis.set_aspect("equal")
-    edge = 1.08 * max(radius, _largest(c["ay_mps2"]), _largest(c["ax_mps2"]))
+    edge = 1.08 * max(radius, peak(c["ay_mps2"]), peak(c["ax_mps2"]))
     ticks = np.arange(-4.0 * (edge // 4.0), edge, 4.0)
     axis.set(xlim=(-edge, edge), ylim=(-edge, edge), xticks=ticks, yticks=ticks)
-    _axis(axis, "longitudinal [m/s²]")
+    y_label(axis, "longitudinal [m/s²]")
     axis.set_xlabel("lateral, left positive [m/s²]")
     figure.legend(*axis.get_legend_handles_labels(), loc="outside lower center")
     return figure
 
 
-def _zooms(c: dict[str, Any]) -> dict[str, int]:
-    """Rows worth a closer look: largest error, tightest bend, strongest wind."""
-    places = {"largest error": "ey_m", "tightest bend": "kappa_radpm", "peak wind": "wind_mps"}
-    return {what: int(np.argmax(np.nan_to_num(np.abs(c[name])))) for what, name in places.items()}
+def zooms(c: dict[str, Any]) -> dict[str, int]:
+    """Three rows worth a closer look, by what happens there.
 
-
-def _largest(values: Any) -> float:
-    """Largest magnitude of the finite values, never zero."""
-    values = np.asarray(values, dtype=float)
-    return max(float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0)), 1e-9)
-
-
-def _figure(width: float, height: float) -> Figure:
-    """An empty figure of the house style, sizes in inches."""
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height))
+    First the largest lateral error, then what lies elsewhere of the tightest bend, the strongest
+    wind, the hardest turn, the highest speed and the hardest braking; on a road too short for
+    three places, the first of them anyway.
+    """
+    places = {"largest error": np.abs(c["ey_m"]), "tightest bend": np.abs(c["kappa_radpm"])}
+    if peak(c["wind_mps"]) > 0.5:
+        places["peak wind"] = np.abs(c["wind_mps"])
+    places |= {"hardest turn": np.abs(c["ay_mps2"]), "top speed": c["vx_mps"],
+               "braking": -c["ax_mps2"]}
+    rows = {what: int(np.argmax(np.nan_to_num(size))) for what, size in places.items()}
+    s, apart = c["s_m"], list[str]()
+    for what, row in rows.items():
+        if all(abs(s[row] - s[rows[other]]) > 2.0 * SPAN for other in apart):
+            apart.append(what)
+    chosen = (apart + [what for what in rows if what not in apart])[:3]
+    return {what: rows[what] for what in chosen}
 
 
 def _rows(log: Any, title: str, count: int, ratios: tuple[float, ...],
           height: float) -> tuple[Figure, Any]:
     """One column of `count` axes that share the time axis."""
-    figure = _figure(COLUMN, height)
+    figure = blank(COLUMN, height)
     axes = figure.subplots(count, 1, sharex=True, gridspec_kw={"height_ratios": ratios})
     _title(axes[0], log, title)
     return figure, axes
@@ -306,14 +334,3 @@ def _title(axis: Axes, log: Any, what: str) -> None:
     """Title with the scenario and the controller; a run cut short says so."""
     note = "" if log.meta.get("completed", True) else ", not completed"
     axis.set_title(f"{what} ({log.meta['scenario']}, {log.meta['controller']}{note})")
-
-
-def _axis(axis: Axes, label: str, *, legend: int = 0, zero: bool = False) -> None:
-    """Label, room for a legend of `legend` columns above the curves, a line at zero."""
-    axis.set_ylabel(label)
-    if zero:
-        axis.axhline(0.0, color=GREY, lw=0.5, zorder=1)
-    if legend:
-        low, high = axis.get_ylim()
-        axis.set_ylim(low, high + 0.25 * (high - low))
-        axis.legend(loc="upper left", ncols=legend)

@@ -8,7 +8,7 @@ from fake_log import fake_log
 from lpvmpc import figures
 from lpvmpc.errors import OutputError
 
-NAMES = ["speed_wind", "path", "commands", "errors", "computation_time", "gg"]
+NAMES = ["speed_wind", "path", "commands", "errors", "computation_time", "tires", "gg"]
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +47,7 @@ def test_every_figure_is_written_at_column_width_without_metadata(log, tmp_path)
         data = file.read_bytes()
         assert data.startswith(b"\x89PNG")
         width = struct.unpack(">I", data[16:20])[0]
-        inches = figures.DOUBLE if file.stem == "errors" else figures.COLUMN
+        inches = figures.DOUBLE if file.stem in ("errors", "tires") else figures.COLUMN
         assert width == pytest.approx(300 * inches, abs=1.0)  # 300 dpi, rounded to pixels
         assert not {"tEXt", "iTXt", "zTXt", "tIME"} & set(chunks(data))
 
@@ -72,9 +72,32 @@ def test_the_papers_values_are_those_of_its_text():
 
 
 def test_the_zooms_hold_the_largest_error_and_the_strongest_wind(log):
-    rows = figures._zooms(log.columns)
+    rows = figures.zooms(log.columns)
     assert abs(log.columns["ey_m"][rows["largest error"]]) == np.abs(log.columns["ey_m"]).max()
     assert log.columns["wind_mps"][rows["peak wind"]] == log.columns["wind_mps"].max()
+
+
+def test_the_zooms_show_different_places_and_no_wind_where_there_is_none():
+    """One event every some metres; the bend lies within 50 m of the error and is passed over."""
+    columns = {"s_m": np.arange(500.0)}
+    for name, where in (("ey_m", 100), ("kappa_radpm", 130), ("ay_mps2", 200), ("vx_mps", 300),
+                        ("ax_mps2", 400), ("wind_mps", 450)):  # fmt: skip
+        columns[name] = (-1.0 if name == "ax_mps2" else 1.0) * (columns["s_m"] == where)
+    assert figures.zooms(columns) == {"largest error": 100, "peak wind": 450, "hardest turn": 200}
+    columns["wind_mps"][:] = 0.0
+    assert figures.zooms(columns) == {"largest error": 100, "hardest turn": 200, "top speed": 300}
+    short = {name: column[95:140] for name, column in columns.items()}  # no room for three
+    assert list(figures.zooms(short)) == ["largest error", "tightest bend", "hardest turn"]
+
+
+def test_the_used_friction_is_the_share_of_the_peak():
+    log = fake_log(2.0, qpos=False)
+    c = log.columns
+    c["Fz_rr_N"][:10] = 0.0  # in the air
+    curves = {line.get_label(): line.get_ydata() for line in figures.tires(log).axes[3].get_lines()}
+    used = np.hypot(c["Fx_fl_N"], c["Fy_fl_N"]) / (0.82 * c["Fz_fl_N"])
+    np.testing.assert_allclose(curves["fl"], used, rtol=1e-12)
+    assert np.isnan(curves["rr"][:10]).all() and np.isfinite(curves["rr"][10:]).all()
 
 
 def test_the_friction_circle_has_the_radius_of_the_plants_friction():
