@@ -107,10 +107,13 @@ class Run:
         return digest.hexdigest()[:32]
 
     def _own_files(self) -> Iterator[Path]:
-        """A user's track and the module of a user's controller, where they are found."""
+        """A user's track, network and module of a controller, where they are found."""
         track = Path(self.scenario)
         if self.scenario.lower().endswith(".csv") and track.is_file():
             yield track
+        trained = Path(self.controller_options.get("stiffness_file", ""))
+        if trained.is_file():
+            yield trained
         if ":" in self.controller:
             name = self.controller.partition(":")[0]
             here = Path(name.replace(".", "/") + ".py")  # as load_controller does

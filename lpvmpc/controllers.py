@@ -66,9 +66,9 @@ def _lpv_mpc_paper(**options: Any) -> Controller:
 
 
 def _with_stiffness(options: dict[str, Any]) -> dict[str, Any]:
-    """The options with the stiffness model in place of its name and of what makes it wrong."""
+    """The options with the stiffness model in place of its name and of what changes it."""
     options = dict(options)
-    parts = ("scale", "noise", "seed")
+    parts = ("file", "scale", "noise", "seed")
     wrong = {k: options.pop(f"stiffness_{k}") for k in parts if f"stiffness_{k}" in options}
     name = options.get("stiffness")
     if not isinstance(name, str):
@@ -82,7 +82,12 @@ def _with_stiffness(options: dict[str, Any]) -> dict[str, Any]:
 
     module, model = STIFFNESS_MODELS[name]
     car = options.get("car") or VehicleParams.load()
-    made = getattr(import_module(f"lpvmpc.{module}"), model)(car)
+    trained = []
+    if (file := wrong.pop("file", None)) is not None:
+        from lpvmpc.network import load_weights
+
+        trained = [load_weights(name, file)]
+    made = getattr(import_module(f"lpvmpc.{module}"), model)(car, *trained)
     if wrong:
         from lpvmpc.perturbed import PerturbedStiffness
 
@@ -145,9 +150,10 @@ def load_controller(name: str, **options: Any) -> Controller:
     Args:
         name: One of `CONTROLLERS`, or `module:Class` where the module is found from the current
             directory or PYTHONPATH and the class is made without arguments.
-        options: Arguments for the makers in `CONTROLLERS`; the stiffness model may be named, and
-            made wrong by `stiffness_scale`, `stiffness_noise` and `stiffness_seed` (see
-            `perturbed`); a formulation may be a dictionary of what differs from the default.
+        options: Arguments for the makers in `CONTROLLERS`; the stiffness model may be named, be
+            given the network of a `stiffness_file`, and made wrong by `stiffness_scale`,
+            `stiffness_noise` and `stiffness_seed` (see `perturbed`); a formulation may be a
+            dictionary of what differs from the default.
 
     Raises:
         UnknownNameError: No such name.
