@@ -303,22 +303,27 @@ def gg(log: Any) -> Figure:
 def zooms(c: dict[str, Any]) -> dict[str, int]:
     """Three rows worth a closer look, by what happens there.
 
-    First the largest lateral error, then what lies elsewhere of the tightest bend, the strongest
-    wind, the hardest turn, the highest speed and the hardest braking; on a road too short for
-    three places, the first of them anyway.
+    The largest lateral error, the tightest bend, and the strongest wind; where two of them are one
+    place, or there is no wind, the next largest errors elsewhere.
     """
-    places = {"largest error": np.abs(c["ey_m"]), "tightest bend": np.abs(c["kappa_radpm"])}
-    if peak(c["wind_mps"]) > 0.5:
-        places["peak wind"] = np.abs(c["wind_mps"])
-    places |= {"hardest turn": np.abs(c["ay_mps2"]), "top speed": c["vx_mps"],
-               "braking": -c["ax_mps2"]}
-    rows = {what: int(np.argmax(np.nan_to_num(size))) for what, size in places.items()}
-    s, apart = c["s_m"], list[str]()
-    for what, row in rows.items():
-        if all(abs(s[row] - s[rows[other]]) > 2.0 * SPAN for other in apart):
-            apart.append(what)
-    chosen = (apart + [what for what in rows if what not in apart])[:3]
-    return {what: rows[what] for what in chosen}
+    error = np.nan_to_num(np.abs(c["ey_m"]))
+    rows = {"largest error": int(np.argmax(error))}
+    elsewhere = np.ones(len(error), dtype=bool)
+
+    def beyond(row: int) -> None:
+        elsewhere[np.abs(c["s_m"] - c["s_m"][row]) <= 2.0 * SPAN] = False
+
+    beyond(rows["largest error"])
+    for what, name in (("tightest bend", "kappa_radpm"), ("peak wind", "wind_mps")):
+        row = int(np.argmax(np.nan_to_num(np.abs(c[name]))))
+        if elsewhere[row] and abs(c[name][row]) > 0.0:
+            rows[what] = row
+            beyond(row)
+    for what in ("second error", "third error"):
+        if len(rows) < 3:  # on a road too short for three places, somewhere
+            rows[what] = int(np.argmax(np.where(elsewhere, error, -1.0)))
+            beyond(rows[what])
+    return rows
 
 
 def _rows(log: Any, title: str, count: int, ratios: tuple[float, ...],
