@@ -108,10 +108,11 @@ def report(
 
 def weights() -> str:
     """The weights that the controller ships with."""
-    from lpvmpc.controllers import load_controller
+    from lpvmpc.mpc import Weights
+    from lpvmpc.weights_file import shipped
 
-    used: Any = load_controller("lpv-mpc")
-    return ", ".join(f"{name} {value:g}" for name, value in asdict(used.weights).items())
+    used = asdict(shipped("lpv-mpc", Weights()))
+    return ", ".join(f"{name} {value:g}" for name, value in used.items())
 
 
 def cell(row: Row | None) -> str:
@@ -128,7 +129,7 @@ def _lost(row: Row) -> str:
     if s is None:
         return "failed"
     kinds = {"off": "off", "spun": "spun", "rolled": "rolled", "stuck": "stuck", "too": "slow"}
-    return f"{kinds.get(reason.partition(' ')[0], 'failed')} at {s:.0f} m"
+    return f"{kinds.get(reason.partition(' ')[0].rstrip(':'), 'failed')} at {s:.0f} m"
 
 
 def short(value: float) -> str:
