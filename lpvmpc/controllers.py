@@ -43,6 +43,7 @@ class Controller(Protocol):
 STIFFNESS_MODELS = {
     "constant": ("stiffness", "ConstantStiffness"),
     "network": ("stiffness", "NetworkStiffness"),
+    "network-dry": ("stiffness", "DryNetwork"),
     "network-secant": ("secant_network", "SecantNetwork"),
     "oracle": ("stiffness", "OracleStiffness"),
     "oracle-secant": ("stiffness", "SecantOracle"),

@@ -174,6 +174,13 @@ class NetworkStiffness:
         self.tire.horizon(state, prediction, tires)
 
 
+class DryNetwork(NetworkStiffness):
+    """The same network on a road that is taken to be dry: what estimating friction is worth."""
+
+    name = "network-dry"
+    learn = None  # type: ignore[assignment]
+
+
 SECANT_SLIP = 0.01
 """Slip angle below which a secant is mostly the nominal slope [rad]."""
 

@@ -5,10 +5,12 @@ import pytest
 
 from lpvmpc.bicycle import AF, AR, NX, VX
 from lpvmpc.errors import OptionError
+from lpvmpc.mpc import LPVMPC
 from lpvmpc.plant import Plant
 from lpvmpc.stiffness import (
     C_MIN,
     ConstantStiffness,
+    DryNetwork,
     NetworkStiffness,
     OracleStiffness,
     SecantOracle,
@@ -98,6 +100,11 @@ def test_the_network_learns_the_road_and_forgets_it(car):
     assert model.friction < 0.95
     model.reset()
     assert model.friction == 1.0
+
+
+def test_the_dry_network_is_told_nothing_of_the_road(car):
+    controller = LPVMPC(car, stiffness=DryNetwork(car))
+    assert controller._learn is None and controller.stiffness.friction == 1.0
 
 
 def test_friction_in_use_bounds_the_estimate_from_below(car):
