@@ -36,9 +36,9 @@ BACKENDS = ("local", "ray")
 """Where runs can be driven: processes of this machine, or a Ray cluster."""
 
 UNUSED = frozenset(
-    """ablation ablation_report cli collection coverage dataset figures fit genetic hud manoeuvres
-    pso render report scenery search speed speed_processes sphere sphere_report stage textures
-    training tuning verdict video""".split()
+    """ablation ablation_report cli collection comparison comparison_video coverage dataset drawing
+    figures fit genetic hud manoeuvres path_figure pso render report scenery search speed
+    speed_processes sphere sphere_report stage textures training tuning verdict video""".split()
 )
 """Modules that no run uses: an edit of theirs leaves the results that are kept valid."""
 

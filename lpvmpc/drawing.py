@@ -21,6 +21,9 @@ BLUE, SKY, GREEN, ORANGE, RED, PINK, GREY = (
     "#0072B2", "#56B4E9", "#009E73", "#E69F00", "#D55E00", "#CC79A7", "#6E6E6E")
 """Colours of Okabe and Ito, told apart with every common colour-vision deficiency, and a grey."""
 
+RUNS = (BLUE, RED, GREEN, ORANGE, PINK, SKY)
+"""Colours of runs that are compared, in their order."""
+
 COLUMN, DOUBLE = 3.46, 7.13
 """Widths of one and of two columns [inch]."""
 

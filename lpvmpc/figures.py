@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lpvmpc import path_figure
 from lpvmpc.drawing import (
     BLUE,
     COLUMN,
@@ -47,13 +48,10 @@ PAPER = {
 }
 """Results printed in the paper. Its largest speed error is below its RMSE; quoted as printed."""
 
-SPAN = 25.0
-"""Half the width of a zoom on the path [m]."""
-
 __all__ = [
     "BLUE", "COLUMN", "DOUBLE", "DPI", "GREEN", "GREY", "ORANGE", "PAPER", "PINK", "RED", "SKY",
     "STYLE", "commands", "computation_time", "errors", "gg", "path", "save_all", "speed_wind",
-    "tires", "zooms",
+    "tires",
 ]  # fmt: skip
 
 
@@ -102,49 +100,8 @@ def speed_wind(log: Any) -> Figure:
 
 @styled
 def path(log: Any) -> Figure:
-    """Driven path on the road, with three zooms of the lateral error (the paper's Fig. 8).
-
-    The error is millimetres on a road of a kilometre, so the zooms are straightened: distance
-    along the path against the error across it.
-    """
-    c = log.columns
-    wide, high = np.ptp(c["x_ref_m"]) + 40.0, np.ptp(c["y_ref_m"]) + 40.0  # m
-    tall = float(np.clip(2.9 * high / wide, 0.9, 2.9))  # inch
-    figure = blank(COLUMN, tall + 1.95)
-    grid = figure.add_gridspec(2, 3, height_ratios=(tall, 1.0))
-    plane = figure.add_subplot(grid[0, :])
-    _title(plane, log, "Path")
-    plane.plot(c["x_ref_m"], c["y_ref_m"], color="#D4D4D4", lw=4.0, solid_capstyle="round",
-               label="road")
-    plane.plot(c["x_ref_m"], c["y_ref_m"], color="black", lw=0.8, ls=(0, (4, 2)),
-               label="reference", zorder=4)
-    plane.plot(c["x_m"], c["y_m"], color=BLUE, lw=1.6, label="driven", zorder=3)
-    plane.plot(c["x_m"][0], c["y_m"][0], "o", color="black", ms=3.5, label="start", zorder=5)
-    plane.set_aspect("equal", adjustable="datalim")
-    y_label(plane, "y [m]")
-    plane.set_xlabel("x [m]")
-    handles, labels = plane.get_legend_handles_labels()
-    figure.legend(handles, labels, ncols=4, loc="outside lower center")
-
-    for index, (letter, (what, row)) in enumerate(zip("ABC", zooms(c).items(), strict=True)):
-        mark = (float(c["x_m"][row]), float(c["y_m"][row]))
-        plane.plot(*mark, "o", ms=5.0, mfc="white", mec=RED, mew=1.0, zorder=6)
-        plane.annotate(letter, mark, xytext=(4, 4), textcoords="offset points", color=RED,
-                       weight="bold", zorder=7)
-        zoom = figure.add_subplot(grid[1, index])
-        along = c["s_m"] - c["s_m"][row]
-        near = np.abs(along) <= SPAN
-        zoom.axhline(0.0, color="black", lw=0.8, ls=(0, (4, 2)))
-        zoom.plot(along[near], 1e3 * c["ey_m"][near], color=BLUE, lw=1.2)
-        limit = max(1.15e3 * peak(c["ey_m"][near]), 0.01)
-        zoom.set_ylim(-limit, limit)
-        zoom.set_title(f"{letter}  {what}", fontsize=6.8, color=RED)
-        y_label(zoom, "left error [mm]" if index == 0 else "")
-        zoom.locator_params(axis="y", nbins=3)
-        zoom.set_xlim(-SPAN, SPAN)
-        zoom.set_xticks((-20, 0, 20))
-        zoom.set_xlabel(f"s − {max(c['s_m'][row], 0.0):.0f} [m]")
-    return figure
+    """Driven path on the road, with three zooms of the lateral error (the paper's Fig. 8)."""
+    return path_figure.draw({"driven": log.columns}, _heading(log, "Path"))
 
 
 @styled
@@ -300,32 +257,6 @@ def gg(log: Any) -> Figure:
     return figure
 
 
-def zooms(c: dict[str, Any]) -> dict[str, int]:
-    """Three rows worth a closer look, by what happens there.
-
-    The largest lateral error, the tightest bend, and the strongest wind; where two of them are one
-    place, or there is no wind, the next largest errors elsewhere.
-    """
-    error = np.nan_to_num(np.abs(c["ey_m"]))
-    rows = {"largest error": int(np.argmax(error))}
-    elsewhere = np.ones(len(error), dtype=bool)
-
-    def beyond(row: int) -> None:
-        elsewhere[np.abs(c["s_m"] - c["s_m"][row]) <= 2.0 * SPAN] = False
-
-    beyond(rows["largest error"])
-    for what, name in (("tightest bend", "kappa_radpm"), ("peak wind", "wind_mps")):
-        row = int(np.argmax(np.nan_to_num(np.abs(c[name]))))
-        if elsewhere[row] and abs(c[name][row]) > 0.0:
-            rows[what] = row
-            beyond(row)
-    for what in ("second error", "third error"):
-        if len(rows) < 3:  # on a road too short for three places, somewhere
-            rows[what] = int(np.argmax(np.where(elsewhere, error, -1.0)))
-            beyond(rows[what])
-    return rows
-
-
 def _rows(log: Any, title: str, count: int, ratios: tuple[float, ...],
           height: float) -> tuple[Figure, Any]:
     """One column of `count` axes that share the time axis."""
@@ -336,6 +267,11 @@ def _rows(log: Any, title: str, count: int, ratios: tuple[float, ...],
 
 
 def _title(axis: Axes, log: Any, what: str) -> None:
-    """Title with the scenario and the controller; a run cut short says so."""
+    """Title with the scenario and the controller."""
+    axis.set_title(_heading(log, what))
+
+
+def _heading(log: Any, what: str) -> str:
+    """What is shown of which run; one cut short says so."""
     note = "" if log.meta.get("completed", True) else ", not completed"
-    axis.set_title(f"{what} ({log.meta['scenario']}, {log.meta['controller']}{note})")
+    return f"{what} ({log.meta['scenario']}, {log.meta['controller']}{note})"

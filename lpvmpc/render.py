@@ -50,18 +50,14 @@ def render_video(log: Any, path: str | FilePath, *, width: int = 1280, height: i
         RenderError: No OpenGL on this machine, no encoder, or nothing to draw.
         OutputError: The file cannot be written.
     """
-    for name, value in (("width", width), ("height", height)):
-        if not 64 <= value <= 4096 or value % 2:
-            raise OptionError(name, value, "an even number of pixels from 64 to 4096")
-    if not 1 <= fps <= 240:
-        raise OptionError("fps", fps, "a number of frames per second from 1 to 240")
+    check_size(width, height, fps)
     path = FilePath(path)
     motion = Motion(log, fps)
     stage = Stage(log, width, height, 1.0 / fps)
     try:
         hud = run_hud(log, width, height)
         with interrupts() as interrupted, Encoder(path, width, height, fps) as video:
-            for k in _counted(len(motion), progress):
+            for k in counted(len(motion), progress):
                 now = motion.at(k)
                 frame = stage.picture(now)
                 hud.draw(frame, instruments(now))
@@ -71,6 +67,19 @@ def render_video(log: Any, path: str | FilePath, *, width: int = 1280, height: i
     finally:
         stage.close()
     return path
+
+
+def check_size(width: int, height: int, fps: int) -> None:
+    """Refuse pictures that cannot be encoded.
+
+    Raises:
+        OptionError: With the size or frame rate, and what is allowed.
+    """
+    for name, value in (("width", width), ("height", height)):
+        if not 64 <= value <= 4096 or value % 2:
+            raise OptionError(name, value, "an even number of pixels from 64 to 4096")
+    if not 1 <= fps <= 240:
+        raise OptionError("fps", fps, "a number of frames per second from 1 to 240")
 
 
 class Motion:
@@ -134,25 +143,32 @@ def slerp(a: Array, b: Array, part: Array) -> Array:
     return wa[:, None] * a + wb[:, None] * b
 
 
-def run_hud(log: Any, width: int, height: int) -> Hud:
-    """Instruments scaled to a run."""
-    c, path = log.columns, log.scenario.path
+def run_hud(log: Any, width: int, height: int, *, name: str | None = None,
+            scales: dict[str, float] | None = None) -> Hud:
+    """Instruments of a run, named after its controller and scaled to it where nothing is given."""
+    path = log.scenario.path
     road = np.stack(path.at(np.linspace(0.0, path.length, 400))[:2], axis=1)
+    return Hud(width, height, title=str(log.meta["scenario"]), road=road,
+               scales=scales or full_scales(log), subtitle=name or str(log.meta["controller"]))
 
-    def full(values: Any, steps: tuple[float, ...]) -> float:
+
+def full_scales(*logs: Any) -> dict[str, float]:
+    """Full scales of the instruments that suit one run, or several beside each other."""
+
+    def full(curve: Callable[[Any], Any], steps: tuple[float, ...]) -> float:
         """The first step above all but the rarest values."""
-        finite = np.abs(values[np.isfinite(values)])
+        values = np.abs(np.concatenate([curve(log.columns) for log in logs]))
+        finite = values[np.isfinite(values)]
         peak = float(np.percentile(finite, 99.5)) if finite.size else 0.0
         return next((step for step in steps if step >= peak), steps[-1])
 
-    scales = {
-        "ey_mm": full(1e3 * c["ey_m"], (2, 5, 10, 20, 50, 100, 200, 500, 1000, 5000)),
-        "steer_deg": full(np.rad2deg(c["delta_rad"]), (5, 10, 20, 30)),
-        "acc_mps2": full(np.hypot(c["ax_mps2"], c["ay_mps2"]), (4, 8, 12)),
-        "wind_mps": max(full(c["wind_mps"], (10, 20, 40, 60)), 10.0),
+    return {
+        "ey_mm": full(lambda c: 1e3 * c["ey_m"],
+                      (2, 5, 10, 20, 50, 100, 200, 500, 1000, 5000)),
+        "steer_deg": full(lambda c: np.rad2deg(c["delta_rad"]), (5, 10, 20, 30)),
+        "acc_mps2": full(lambda c: np.hypot(c["ax_mps2"], c["ay_mps2"]), (4, 8, 12)),
+        "wind_mps": max(full(lambda c: c["wind_mps"], (10, 20, 40, 60)), 10.0),
     }
-    return Hud(width, height, title=str(log.meta["scenario"]), road=road, scales=scales,
-               subtitle=str(log.meta["controller"]))
 
 
 def instruments(now: dict[str, Any]) -> dict[str, float]:
@@ -184,7 +200,7 @@ def interrupts() -> Iterator[Callable[[], bool]]:
         signal.signal(signal.SIGINT, before)
 
 
-def _counted(count: int, progress: Callable[[float], None] | None) -> Iterator[int]:
+def counted(count: int, progress: Callable[[float], None] | None) -> Iterator[int]:
     """0, 1, ..., count - 1, telling the progress."""
     if progress is not None or not sys.stderr.isatty():
         for k in range(count):

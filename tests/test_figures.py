@@ -7,6 +7,7 @@ from fake_log import fake_log
 
 from lpvmpc import figures
 from lpvmpc.errors import OutputError
+from lpvmpc.path_figure import zooms
 
 NAMES = ["speed_wind", "path", "commands", "errors", "computation_time", "tires", "gg"]
 
@@ -72,7 +73,7 @@ def test_the_papers_values_are_those_of_its_text():
 
 
 def test_the_zooms_hold_the_largest_error_and_the_strongest_wind(log):
-    rows = figures.zooms(log.columns)
+    rows = zooms(log.columns)
     assert abs(log.columns["ey_m"][rows["largest error"]]) == np.abs(log.columns["ey_m"]).max()
     assert log.columns["wind_mps"][rows["peak wind"]] == log.columns["wind_mps"].max()
 
@@ -82,11 +83,11 @@ def test_the_zooms_show_different_places_and_no_wind_where_there_is_none():
     s = np.arange(500.0)
     columns = {"s_m": s, "kappa_radpm": 0.1 * (s == 130), "wind_mps": 20.0 * (s == 450),
                "ey_m": 0.3 * (s == 100) - 0.2 * (s == 300) + 0.1 * (s == 400)}  # fmt: skip
-    assert figures.zooms(columns) == {"largest error": 100, "peak wind": 450, "second error": 300}
+    assert zooms(columns) == {"largest error": 100, "peak wind": 450, "second error": 300}
     columns["wind_mps"][:] = 0.0
-    assert figures.zooms(columns) == {"largest error": 100, "second error": 300, "third error": 400}
+    assert zooms(columns) == {"largest error": 100, "second error": 300, "third error": 400}
     short = {name: column[95:140] for name, column in columns.items()}  # no room for three
-    assert len(figures.zooms(short)) == 3
+    assert len(zooms(short)) == 3
 
 
 def test_the_used_friction_is_the_share_of_the_peak():
