@@ -1,0 +1,388 @@
+"""The same steering into other models of the same car: single tracks, CommonRoad's multibody."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
+from scipy.optimize import root
+
+from lpvmpc import bicycle
+from lpvmpc.axle import Axle, axles, lateral_force
+from lpvmpc.bicycle import Bicycle
+from lpvmpc.plant import Plant
+from lpvmpc.studies import multibody, plots
+from lpvmpc.studies.multibody import SPEED
+from lpvmpc.studies.study import CarUnderTest, Limit, Picture, Series, StudyResult, Table
+from lpvmpc.vehicle import Array, Command, VehicleParams
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+GAIN_SPEEDS = (10.0, 15.0, 20.0, 25.0)
+"""Speeds at which the yaw gain is compared [m/s]."""
+GENTLE = (0.5, 1.0, 1.5, 2.0)
+"""Lateral accelerations at which it is [m/s2]."""
+LATERAL = (0.25, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0, 5.5, 6.0, 6.5)
+"""Lateral accelerations of the steady states at 20 m/s [m/s2]."""
+PARTED = 0.05
+"""Relative difference of yaw rates at which two models have parted."""
+PARTED_SIDESLIP = math.radians(0.1)
+"""Difference of sideslip angles at which they have [rad]."""
+Ts = 0.001
+"""Control period of the transient [s]."""
+
+LINEAR, AXLES, MULTIBODY = "linear single track", "single track, tire law", "CommonRoad multibody"
+MODELS = (LINEAR, AXLES, MULTIBODY)
+
+METHOD = f"""\
+**Models.** All get the documented car's parameters, the same road wheel angle and a speed of
+{SPEED:g} m/s, which each holds by its own drive. *Linear single track*: `lpvmpc.bicycle` with
+constant axle stiffness; in steady states only the tires are linear, angles are not. *Single track,
+tire law*: the same with the Magic Formula at the wheel loads that follow from roll
+(`lpvmpc.axle`); it shares the tire with the simulation and nothing else. *CommonRoad multibody*:
+`vehicle_dynamics_mb` of the package commonroad-vehicle-models (TU Munich, BSD-3), 29 states, other
+people's code; its parameters are ours as far as it has them (`lpvmpc/studies/multibody.py`), axle
+stiffness being the effective one, trail included. It has no load dependence of its tires, so that
+it must part from ours as load moves, and no relaxation. Its results are stored with the package
+and computed anew by a test.
+
+**Steady states** over lateral acceleration at equal steering angle: yaw rate and sideslip of the
+centre of mass. Two models have *parted* where the yaw rates differ by {100 * PARTED:g} %, or the
+sideslip by {math.degrees(PARTED_SIDESLIP):g} degrees; the crossover is the first such lateral
+acceleration. **Transient**: one sine of steering of {multibody.SINE:g} rad and 0.5 Hz.
+
+**Valid** as far as the models agree: linear single tracks are taught for up to 0.3 to 0.4 g.
+"""
+
+
+def run(car: CarUnderTest) -> StudyResult:
+    """Yaw gain, steady states and a transient of all models; symmetry."""
+    result = StudyResult("cross-model", METHOD)
+    _yaw_gain(car, result)
+    steady = _steady(car, result)
+    transient = _transient(car, result)
+    _symmetry(car, result)
+    result.pictures += [
+        Picture(
+            "steady",
+            "Yaw gain and sideslip over lateral acceleration at 20 m/s and equal steering; "
+            "shaded: 5 % and 0.1 degrees around the simulation, vertical: where each model parts.",
+            _steady_picture(*steady),
+        ),
+        Picture(
+            "transient",
+            "One sine of steering at 20 m/s: yaw rate and sideslip of all models, and their "
+            "differences from the simulation.",
+            _transient_picture(*transient),
+        ),
+    ]
+    return result
+
+
+# --- single tracks ---
+
+
+class SingleTrack:
+    """The nonlinear single track at constant speed, with linear or Magic Formula axles."""
+
+    def __init__(self, p: VehicleParams, law: tuple[Axle, Axle] | None):
+        """Args: parameters of the car; constants of its axles, or None for linear tires."""
+        self.p, self.law = p, law
+        self.car = Bicycle.of(p)._replace(tau_delta=0.0, tau_ax=0.0)
+
+    def tires(self, alpha_f: float, alpha_r: float, phi: float) -> Array:
+        """Affine axle forces (Cf, F0f, Cr, F0r) for `bicycle.derivative`."""
+        if self.law is None:
+            return np.array([self.p.Cf, 0.0, self.p.Cr, 0.0])
+        forces = [
+            lateral_force(axle, alpha, phi, 0.0, 1.0)
+            for axle, alpha in zip(self.law, (alpha_f, alpha_r), strict=True)
+        ]
+        return np.array([0.0, forces[0], 0.0, forces[1]])
+
+    def derivative(self, x: Array, delta: float) -> Array:
+        """Of the eleven states of `bicycle`, the speed held."""
+        tires = self.tires(x[bicycle.AF], x[bicycle.AR], x[bicycle.PHI])
+        dx: Array = bicycle.derivative(x, np.array([delta, 0.0]), 0.0, tires, self.car)
+        dx[bicycle.VX] = 0.0
+        return dx
+
+    def steady(self, vx: float, delta: float) -> tuple[float, float]:
+        """Yaw rate [rad/s] and sideslip angle [rad] at constant speed and steering."""
+        rows = [bicycle.VY, bicycle.R, bicycle.AF, bicycle.AR, bicycle.P]
+
+        def residual(unknown: Array, angle: float) -> Array:
+            x = np.zeros(bicycle.NX)
+            x[bicycle.VX] = vx
+            x[[bicycle.VY, bicycle.R, bicycle.AF, bicycle.AR, bicycle.PHI]] = unknown
+            return self.derivative(x, angle)[rows]
+
+        unknown = np.zeros(5)
+        for angle in np.linspace(0.0, delta, 9)[1:]:  # step by step: past the peak are other roots
+            solution = root(residual, unknown, args=(angle,), tol=1e-12)
+            unknown = solution.x
+            assert np.abs(residual(unknown, angle)).max() < 1e-6, solution.message
+        return float(unknown[1]), math.atan2(unknown[0], vx)
+
+    def transient(self, vx: float, delta: Callable[[float], float], times: Array) -> Array:
+        """Yaw rate [rad/s] and sideslip angle [rad] over time, shape (n, 2)."""
+        start = np.zeros(bicycle.NX)
+        start[bicycle.VX] = vx
+        solution = solve_ivp(
+            lambda t, x: self.derivative(x, delta(t)), (times[0], times[-1]), start,
+            t_eval=times, rtol=1e-7, atol=1e-9, max_step=0.02,
+        )  # fmt: skip
+        vy, r = solution.y[bicycle.VY], solution.y[bicycle.R]
+        return np.stack([r, np.arctan2(vy, vx)], axis=1)
+
+
+def single_tracks(car: CarUnderTest) -> dict[str, SingleTrack]:
+    """Both single tracks of the documented car."""
+    p = car.params
+    return {LINEAR: SingleTrack(p, None), AXLES: SingleTrack(p, axles(p, *car.tires))}
+
+
+# --- steady states ---
+
+
+def _yaw_gain(car: CarUnderTest, result: StudyResult) -> None:
+    """Yaw rate of the plant against the linear single track at equal steering."""
+    plant, model = car.plant(), single_tracks(car)[LINEAR]
+    rows, worst = [], 0.0
+    for vx in GAIN_SPEEDS:
+        off = []
+        for ay in GENTLE:
+            s = plant.reset(vx=vx, kappa=ay / vx**2)
+            off.append(s.r / model.steady(vx, s.delta)[0] - 1.0)
+        worst = max(worst, max(map(abs, off)))
+        gain = s.r / s.delta
+        rows.append((f"{vx:g}", gain, *(100.0 * x for x in off)))
+    result.find(
+        "yaw gain off linear model, to 2 m/s2", 100.0 * worst, "%", Limit.at_most(3.0),
+        "load transfer takes 1 % of an axle's stiffness at 2 m/s2, slip another",
+    )  # fmt: skip
+    header = ("speed m/s", "gain 1/s at 2 m/s2", *(f"% off at {ay:g}" for ay in GENTLE))
+    caption = "Yaw gain of the simulation, and how far it is off the linear single track"
+    result.tables.append(Table("yaw-gain", caption, header, rows))
+
+
+def crossover(ay: Array, difference: Array, parted: float) -> float:
+    """Lateral acceleration at which a difference first reaches a bound, else the last one [m/s2].
+
+    Args:
+        ay: Increasing lateral acceleration [m/s2], shape (n,).
+        difference: Of two models, any sign, shape (n,).
+        parted: The bound.
+    """
+    beyond = np.flatnonzero(np.abs(difference) >= parted)
+    if not len(beyond):
+        return float(ay[-1])
+    i = int(beyond[0])
+    if i == 0:
+        return float(ay[0])
+    a, b = np.abs(difference[i - 1]), np.abs(difference[i])
+    return float(ay[i - 1] + (ay[i] - ay[i - 1]) * (parted - a) / (b - a))
+
+
+def _steady(car: CarUnderTest, result: StudyResult) -> tuple[Array, dict[str, Array]]:
+    """Steady states at SPEED: rows (ay, delta, r, beta) of the plant; (r, beta) of the models."""
+    plant = car.plant()
+    rows = []
+    for ay in LATERAL:
+        s = plant.reset(vx=SPEED, kappa=ay / SPEED**2)
+        rows.append((s.ay, s.delta, s.r, math.atan2(s.vy, s.vx)))
+    ours = np.array(rows)
+    models = {
+        name: np.array([model.steady(SPEED, delta) for delta in ours[:, 1]])
+        for name, model in single_tracks(car).items()
+    }
+    stored = np.array(multibody.read()["steady"])
+    stored = np.vstack([(0.0, SPEED, 0.0, 0.0, 0.0), stored])
+    theirs = np.stack([stored[:, 3], np.arctan2(stored[:, 2], stored[:, 1])], axis=1)
+    models[MULTIBODY] = CubicSpline(stored[:, 0], theirs)(ours[:, 1])
+
+    gentle = ours[:, 0] < 2.1
+    least = {LINEAR: 0.3, AXLES: 0.6, MULTIBODY: 0.4}
+    why = {
+        LINEAR: "linear tires are taught to hold to 0.3 g",
+        AXLES: "it has our tires and loads: only the limit of grip, 0.72 g, may tear it off",
+        MULTIBODY: "it saturates as ours does but knows no load transfer, which takes 5 % of an "
+        "axle's stiffness at 0.5 g",
+    }
+    table = []
+    for name in MODELS:
+        yaw = models[name][:, 0] / ours[:, 2] - 1.0
+        sideslip = models[name][:, 1] - ours[:, 3]
+        parts = crossover(ours[:, 0], yaw, PARTED), crossover(ours[:, 0], sideslip, PARTED_SIDESLIP)
+        result.find(f"yaw holds to, {name}", parts[0] / 9.81, "g",
+                    Limit.at_least(least[name]), why[name])  # fmt: skip
+        table.append(
+            (
+                name,
+                100.0 * float(np.abs(yaw[gentle]).max()),
+                math.degrees(np.abs(sideslip[gentle]).max()),
+                *parts,
+            )
+        )
+    result.find(
+        "yaw rate off CommonRoad's, to 2 m/s2", table[-1][1], "%", Limit.at_most(3.0),
+        "as for the linear single track: at 2 m/s2 load transfer is worth 1 %",
+    )  # fmt: skip
+    result.find(
+        "sideslip off CommonRoad's, to 2 m/s2", table[-1][2], "deg", Limit.at_most(0.1),
+        "about what an optical sensor resolves",
+    )  # fmt: skip
+    header = ("model", "yaw % off to 2", "sideslip deg off to 2", "yaw parts at", "sideslip at")
+    caption = (
+        f"Steady states at 20 m/s: differences to 2 m/s2, and where the models part [m/s2] "
+        f"({ours[-1, 0]:.3g}: not by then)"
+    )
+    result.tables.append(Table("steady", caption, header, table))
+    columns = dict(zip(("ay_mps2", "delta_rad", "r_radps", "beta_rad"), ours.T, strict=True))
+    for name, short in zip(MODELS, ("linear", "tire_law", "multibody"), strict=True):
+        columns |= {f"r_{short}_radps": models[name][:, 0], f"beta_{short}_rad": models[name][:, 1]}
+    result.series.append(Series("steady", columns))
+    return ours, models
+
+
+# --- transient ---
+
+
+def drive(plant: Plant, lag: float, side: float, seconds: float) -> Array:
+    """One sine of steering, `multibody.sine`, at constant speed.
+
+    Args:
+        plant: With a control period of Ts.
+        lag: Time constant of its steering servo [s], which the command makes up for.
+        side: -1 steers to the other side.
+        seconds: How long.
+
+    Returns:
+        t [s], delta [rad], r [rad/s], sideslip [rad], ay [m/s2] at each period, shape (n + 1, 5).
+    """
+    s = plant.reset(vx=SPEED)
+    held, integral = float(plant.data.ctrl[1]), 0.0
+    rows = [(0.0, s.delta, s.r, 0.0, s.ay)]
+    for k in range(round(seconds / Ts)):
+        t = (k + 1) * Ts  # the wheel gets there at the end of the period
+        delta = side * (multibody.sine(t) + lag * multibody.sine_rate(t))
+        missing = SPEED - s.vx
+        integral += Ts * missing
+        s = plant.step(Command(delta, held + 6.0 * missing + 4.0 * integral))
+        rows.append((t, s.delta, s.r, math.atan2(s.vy, s.vx), s.ay))
+    return np.array(rows)
+
+
+def _transient(car: CarUnderTest, result: StudyResult) -> tuple[Array, dict[str, Array]]:
+    """The sine: rows of `drive`, and (r, beta) of the models at the same instants."""
+    plant = car.plant(Ts=Ts)
+    every = round(multibody.SAMPLE / Ts)
+    ours = drive(plant, car.params.tau_delta, 1.0, multibody.SINE_TIME)[::every]
+    times = ours[:, 0]
+    models = {
+        name: model.transient(SPEED, multibody.sine, times)
+        for name, model in single_tracks(car).items()
+    }
+    stored = np.array(multibody.read()["transient"])
+    models[MULTIBODY] = np.stack([stored[:, 3], np.arctan2(stored[:, 2], stored[:, 1])], axis=1)
+    limits = {LINEAR: 10.0, AXLES: 5.0, MULTIBODY: 10.0}
+    why = {
+        LINEAR: "at 0.45 g linear tires are beyond what they are taught for",
+        AXLES: "it has our tires, relaxation and roll; left out: pitch, inner and outer steer",
+        MULTIBODY: "0.45 g without load dependence, and its tires have no relaxation, a delay of "
+        "25 ms: 8 % of the peak at 0.5 Hz",
+    }
+    table = []
+    for name in MODELS:
+        off = math.sqrt(np.mean((models[name][:, 0] - ours[:, 2]) ** 2)) / np.abs(ours[:, 2]).max()
+        slip = math.degrees(np.abs(models[name][:, 1] - ours[:, 3]).max())
+        result.find(f"sine: rms off, {name}", 100.0 * off, "%", Limit.at_most(limits[name]),
+                    why[name])  # fmt: skip
+        table.append((name, 100.0 * off, slip))
+    header = ("model", "yaw rate rms over peak %", "sideslip, largest deg")
+    caption = f"One sine of steering, ay to {np.abs(ours[:, 4]).max():.1f} m/s2: differences"
+    result.tables.append(Table("transient", caption, header, table))
+    columns = {"t_s": times, "delta_rad": ours[:, 1], "r_radps": ours[:, 2], "beta_rad": ours[:, 3]}
+    for name, short in zip(MODELS, ("linear", "tire_law", "multibody"), strict=True):
+        columns |= {f"r_{short}_radps": models[name][:, 0], f"beta_{short}_rad": models[name][:, 1]}
+    result.series.append(Series("transient", columns))
+    return ours, models
+
+
+def _symmetry(car: CarUnderTest, result: StudyResult) -> None:
+    """Left against right."""
+    plant, lag = car.plant(Ts=Ts), car.params.tau_delta
+    left, right = (drive(plant, lag, side, 1.5) for side in (1.0, -1.0))
+    result.find(
+        "left against right, simulation", float(np.abs(left[:, 1:] + right[:, 1:]).max()), "",
+        Limit.at_most(1e-9), "a symmetric car; rounding alone may differ",
+    )  # fmt: skip
+    result.find(
+        "left against right, CommonRoad", multibody.read()["left_against_right"], "",
+        Limit.at_most(1e-6), "its integrator's tolerance",
+    )  # fmt: skip
+
+
+# --- pictures ---
+
+LOOKS = {
+    LINEAR: (plots.ORANGE, (0, (4, 2))),
+    AXLES: (plots.GREEN, (0, (1, 1.5))),
+    MULTIBODY: (plots.RED, "-"),
+}
+
+
+@plots.styled
+def _steady_picture(ours: Array, models: dict[str, Array]) -> Figure:
+    figure, (yaw, sideslip) = plots.axes(1, 2, height=2.8)
+    ay, delta, r, beta = ours.T
+    gain, slip = r / delta, np.degrees(beta)
+    low, high = gain * (1.0 - PARTED), gain * (1.0 + PARTED)
+    yaw.fill_between(ay, low, high, color=plots.BLUE, alpha=0.2, lw=0)
+    off = math.degrees(PARTED_SIDESLIP)
+    sideslip.fill_between(ay, slip - off, slip + off, color=plots.BLUE, alpha=0.2, lw=0)
+    for name in MODELS:
+        color, style = LOOKS[name]
+        yaw.plot(ay, models[name][:, 0] / delta, color=color, ls=style, label=name)
+        sideslip.plot(ay, np.degrees(models[name][:, 1]), color=color, ls=style)
+        for axis, difference, bound in (
+            (yaw, models[name][:, 0] / r - 1.0, PARTED),
+            (sideslip, models[name][:, 1] - beta, PARTED_SIDESLIP),
+        ):
+            where = crossover(ay, difference, bound)
+            if where < ay[-1]:
+                axis.axvline(where, color=color, lw=0.8, ls=":")
+    yaw.plot(ay, gain, "o-", ms=3, color=plots.BLUE, label="simulation", zorder=1.9)
+    sideslip.plot(ay, slip, "o-", ms=3, color=plots.BLUE, zorder=1.9)
+    plots.label(yaw, "lateral acceleration [m/s²]", "yaw rate over steer [1/s]", "Yaw gain")
+    plots.label(sideslip, "lateral acceleration [m/s²]", "sideslip [deg]", "Sideslip")
+    figure.legend(*yaw.get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    return figure
+
+
+@plots.styled
+def _transient_picture(ours: Array, models: dict[str, Array]) -> Figure:
+    figure, axes = plots.axes(2, 2, height=3.6, sharex=True, height_ratios=(1.5, 1.0))
+    t = ours[:, 0]
+    for column, (i, title) in enumerate(((2, "Yaw rate"), (3, "Sideslip"))):
+        curve, rest = axes[:, column]
+        own = np.degrees(ours[:, i])
+        curve.plot(t, own, color=plots.BLUE, lw=1.6, label="simulation")
+        for name in MODELS:
+            color, style = LOOKS[name]
+            line = np.degrees(models[name][:, i - 2])
+            curve.plot(t, line, color=color, ls=style, label=name)
+            rest.plot(t, line - own, color=color, ls=style)
+        unit = "deg/s" if i == 2 else "deg"
+        plots.label(curve, "", f"{title.lower()} [{unit}]", title)
+        plots.label(rest, "time [s]", f"difference [{unit}]")
+        rest.axhline(0.0, color=plots.GREY, lw=0.5, zorder=1)
+    figure.align_ylabels(axes[:, 0])
+    figure.align_ylabels(axes[:, 1])
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    return figure
