@@ -186,7 +186,7 @@ def signals(runs: Runs) -> Figure:
     longest = max((log.columns for log in runs.values()), key=lambda c: float(c["s_m"][-1]))
     _curves(axes[0], runs, lambda c: c["vx_mps"])
     axes[0].plot(longest["s_m"], longest["vx_ref_mps"], color="black", lw=0.8, ls=(0, (4, 2)),
-                 label="reference")
+                 label="reference", zorder=4.0)
     y_label(axes[0], "speed [m/s]")
     _curves(axes[1], runs, lambda c: np.rad2deg(c["delta_cmd_rad"]))
     y_label(axes[1], "steering [deg]", zero=True)
