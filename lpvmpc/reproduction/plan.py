@@ -15,6 +15,9 @@ from lpvmpc.reproduction.printed import SLIPS, controller
 
 OURS, PLAIN, LMPC = "lpv-mpc", "lpv-mpc-paper", "lmpc-pso-pid"
 """Our controller, the paper's plain formulation of it, and the paper's baseline."""
+PAPERS = "lpv-mpc-paper + network"
+"""The paper's controller on the corrected formulas: the plain formulation, its network. A line of
+the tables, not a name of a controller."""
 AUTHORS_WIND = 1.0 / 3.0
 """Factor on the wind speed in the authors' published code."""
 
@@ -180,6 +183,10 @@ def _controllers(equipment: Equipment) -> Iterable[Entry]:
         for name in CONTROLLERS:
             yield Entry(group=group, key=name, text=name, controller=name,
                         options=equipment.options(name, by_hand=by_hand))  # fmt: skip
+            if name == PLAIN:
+                options = equipment.options(PLAIN, by_hand=by_hand, stiffness="network-secant")
+                yield Entry(group=group, key=PAPERS, text=PAPERS, controller=PLAIN,
+                            options=options)  # fmt: skip
 
 
 def _printed(equipment: Equipment) -> Iterable[Entry]:
