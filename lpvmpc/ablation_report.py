@@ -12,6 +12,7 @@ from typing import Any
 
 from lpvmpc.ablation import (
     ABOUT,
+    CHARGE,
     GROUPS,
     MODELS,
     PLAIN,
@@ -83,8 +84,8 @@ def report(
         *(group_table(rows, group) for group in GROUPS),
         f"![Error over grip]({picture})",
         "",
-        "Lateral error on circuit over the share of the grip, without wind. A cross at the top is "
-        "a lost car.",
+        "Lateral error on circuit over the share of the grip, without wind. A cross above the "
+        "dotted line is a lost car.",
         "",
         "## The best constant stiffness",
         "",
@@ -310,7 +311,6 @@ def draw(rows: Sequence[Row], file: Path) -> None:
         "lpv-mpc-paper": (house.RED, "^", "-"),
     }  # fmt: skip
     rows = [row for row in rows if row.case.group == "grip"]
-    top = 5e3
     with matplotlib.rc_context({**matplotlib.rcParamsDefault, **house.STYLE}):
         figure = Figure(figsize=(house.DOUBLE, 5.2))
         FigureCanvasAgg(figure)
@@ -322,21 +322,24 @@ def draw(rows: Sequence[Row], file: Path) -> None:
                     colour, marker, dash = styles[m.key]
                     grip = [100.0 * r.case.options["grip"] for r in own]
                     error = [1e3 * getattr(r, measure) if r.completed else None for r in own]
-                    axes.plot(grip, error, dash, color=colour, marker=marker, ms=2.8, label=m.key)
+                    face = "white" if dash == "--" else colour
+                    axes.plot(grip, error, dash, color=colour, marker=marker, ms=3, mfc=face,
+                              label=m.key)  # fmt: skip
                     lost = [g for g, e in zip(grip, error, strict=True) if e is None]
-                    # side by side, where several models lose the car at the same speed
-                    axes.plot([g + 0.7 * (i - 3) for g in lost], [top] * len(lost), "x",
-                              color=colour, ms=5, mew=1.4)  # fmt: skip
+                    # one above the other, where several models lose the car at the same speed
+                    height = 1e3 * CHARGE * 1.3 ** (i + 1)
+                    axes.plot(lost, [height] * len(lost), "x", color=colour, ms=4, mew=1.2)
+                axes.axhline(1e3 * CHARGE, color="black", lw=0.6, ls=":")
                 axes.set_yscale("log")
-                axes.set_ylim(top=1.6 * top)
+                axes.set_ylim(top=1e3 * CHARGE * 1.3 ** (len(styles) + 1))
         for axes, title in zip(grid[0], ("with the observer", "without it"), strict=True):
             axes.set_title(title)
         grid[0, 0].set_ylabel("lateral RMSE [mm]")
         grid[1, 0].set_ylabel("largest lateral error [mm]")
         for axes in grid[1]:
-            axes.set_xlabel("share of the grip [%]; x: lost")
+            axes.set_xlabel("share of the grip [%]")
         handles, labels = grid[0, 1].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=4)
+        figure.legend(handles, labels, loc="outside lower center", ncols=4, handlelength=2.4)
         part = file.with_name(file.name + ".part")
         try:
             figure.savefig(part, dpi=200, format="png", metadata={"Software": None})
