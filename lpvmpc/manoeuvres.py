@@ -293,13 +293,14 @@ def _controller(name: str) -> Controller:
 
     So the data change neither when the controllers are tuned nor when a network is trained.
     """
-    from lpvmpc.mpc import LPVMPC, PAPER, PAPER_WEIGHTS, Weights
+    from lpvmpc.mpc import LPVMPC, PAPER, PAPER_WEIGHTS, Formulation, Weights
     from lpvmpc.stiffness import ConstantStiffness
 
     stiffness = ConstantStiffness(VehicleParams.load())
     if name == "paper":
         return LPVMPC(stiffness=stiffness, formulation=PAPER, weights=PAPER_WEIGHTS)
-    return LPVMPC(stiffness=stiffness, weights=Weights())
+    full = Formulation(traction=False)  # the data shall hold spinning wheels as well
+    return LPVMPC(stiffness=stiffness, formulation=full, weights=Weights())
 
 
 KINDS: dict[str, Draw] = {
