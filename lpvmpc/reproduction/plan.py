@@ -161,6 +161,7 @@ PARTS: dict[str, tuple[str, dict[str, Any], dict[str, Any]]] = {
     "trail": ("pneumatic trail", {"trail": True}, {"trail": False}),
     "observer": ("disturbance observer", {"observer": True}, {"observer": False}),
     "slip cap": ("front slip cap", {"slip_cap": True}, {"slip_cap": False}),
+    "traction": ("traction control", {"traction": True}, {"traction": False}),
 }  # fmt: skip
 """Parts of the formulation in the order in which they are added: what they are, what adds them to
 the plain formulation, what takes them from the full one. Euler holds the paper's one model per
