@@ -97,7 +97,7 @@ def cores() -> int:
 def say(result: StudyResult) -> None:
     """One line on a terminal for each study that is done."""
     if sys.stderr.isatty():
-        print(f"{result.study} took {result.seconds:.0f} s", file=sys.stderr)
+        print(f"{result.study} took {result.seconds:.0f} s of CPU time", file=sys.stderr)
 
 
 def write(file: Path, text: str) -> None:

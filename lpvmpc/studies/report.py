@@ -39,7 +39,7 @@ def table(results: Sequence[StudyResult]) -> str:
     for result in results:
         bad = sum(not finding.ok for finding in result.findings)
         verdict = f"{bad} of {len(result.findings)} FAILED" if bad else "all ok"
-        lines.append(f"{result.title} ({result.study}): {verdict}, {result.seconds:.0f} s")
+        lines.append(f"{result.title} ({result.study}): {verdict}, {result.seconds:.0f} s CPU")
         lines += [_row(finding) for finding in result.findings]
         lines.append("")
     return "\n".join(lines)
@@ -99,7 +99,7 @@ def summary(results: Sequence[StudyResult]) -> str:
         (r.title, len(r.findings), sum(f.ok for f in r.findings), f"{r.seconds:.0f} s")
         for r in results
     ]
-    return markdown_table("Studies", ("study", "figures", "inside limits", "wall time"), rows)
+    return markdown_table("Studies", ("study", "figures", "inside limits", "CPU time"), rows)
 
 
 def _section(result: StudyResult, folder: str) -> list[str]:

@@ -173,7 +173,7 @@ class StudyResult:
     pictures: list[Picture] = field(default_factory=list)
     """Plots."""
     seconds: float = 0.0
-    """Wall time that it took [s], filled in by `runner.conduct`."""
+    """CPU time that it took [s], filled in by `runner.conduct`."""
 
     @property
     def title(self) -> str:

@@ -1,0 +1,485 @@
+"""The answer to steering (ISO 7401): step, continuous sine, sweep, against transfer functions."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lpvmpc.plant import Plant
+from lpvmpc.studies import plots
+from lpvmpc.studies.lateral_model import (
+    LATERAL_ACCELERATION,
+    YAW_RATE,
+    frequency_response,
+    lateral_model,
+)
+from lpvmpc.studies.lateral_model import response as linear_response
+from lpvmpc.studies.steady_state import Linear
+from lpvmpc.studies.study import CarUnderTest, Limit, Picture, Series, StudyResult, Table
+from lpvmpc.vehicle import Array, Command
+
+METHOD = """\
+Lateral transient response after ISO 7401, open loop, drive torque held. The input is always the
+real angle of the road wheel (of the equivalent single track), so that the servo's lag of 33 ms is
+not part of the car's response.
+
+- *Step*: response times count from the instant at which the steer passes half its final value;
+  t50 and t90 are reached at 50 and 90 % of the steady value, overshoot is (peak - steady) / steady.
+  For the targets of the yaw rate the road wheel jumps (a servo without lag) to 2 m/s2; the
+  lateral acceleration is watched with the real servo, and so is a step to 0.5 m/s2, which is laid
+  over the transfer function under the same steer.
+- *Continuous sine*: amplitude for 0.5 m/s2 in steady state; after the transient, gain and phase
+  from a least-squares fit of sine, cosine and drift over two periods or more.
+- *Sweep*: from 0.1 to 4 Hz in 40 s at the same amplitude, begun and ended in straight driving;
+  the response is the ratio of the Fourier transforms of the whole record.
+- *Transfer function*: linear single track with the tires' slopes, trails and relaxation lengths at
+  static load and a body that rolls about the road on springs and dampers
+  (`studies/lateral_model.py`); no parameter is fitted.
+- Valid in the linear range, some 0.1 g for 1 dB and 5 degrees; above 2 Hz the model's rigid wheels
+  (no hop, no lateral compliance of the suspension) are too simple as well.
+"""
+
+DT = 1e-3
+"""Time between samples [s], the physics step."""
+SPEEDS = (15.0, 20.0, 100.0 / 3.6)
+"""Speeds of sine and sweep [m/s]."""
+FREQUENCIES = (0.2, 0.35, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 2.5, 3.0)
+"""Frequencies of the sine [Hz]."""
+AY = 0.5
+"""Lateral acceleration of sine and sweep, steady state [m/s2]."""
+STEP_AY = 2.0
+"""Lateral acceleration of the step [m/s2], roughly."""
+HIGHEST = {"yaw rate": 1.5, "lateral acceleration": 1.0}
+"""Frequencies to which the transfer functions are compared [Hz]."""
+Complex = npt.NDArray[np.complex128]
+OUTPUTS = {"yaw rate": YAW_RATE, "lateral acceleration": LATERAL_ACCELERATION}
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a car did under a steering signal, sampled every DT."""
+
+    delta: Array
+    """Steer of the road wheel [rad], shape (n,)."""
+    r: Array
+    """Yaw rate [rad/s], shape (n,)."""
+    ay: Array
+    """Lateral acceleration of the centre of mass [m/s2], shape (n,)."""
+
+    @property
+    def outputs(self) -> Array:
+        """Yaw rate and lateral acceleration, shape (n, 2)."""
+        return np.stack([self.r, self.ay], axis=1)
+
+
+@dataclass(frozen=True)
+class StepResponse:
+    """Characteristic values of a step response."""
+
+    t50: float
+    """Time to half of the steady value [s]."""
+    t90: float
+    """Time to 90 % of it [s]."""
+    peak: float
+    """Time of the largest value [s]."""
+    overshoot: float
+    """Largest value over the steady one, less 1 [-]."""
+
+
+def run(car: CarUnderTest) -> StudyResult:
+    """Study the answer to steering."""
+    result = StudyResult("transient", METHOD)
+    p = car.params
+    models = {vx: lateral_model(p, vx) for vx in SPEEDS}
+    sines = {vx: sine_responses(car, vx) for vx in SPEEDS}
+    sweeps = {vx: sweep_response(car, vx) for vx in SPEEDS}
+    jumps = _steps(result, car)
+    _phases(result, sines)
+    _frequency(result, models, sines, sweeps)
+    runs = _against_model(result, car, models)
+    _modes(result, models)
+    result.pictures += [
+        Picture(
+            "frequency",
+            "Gain and phase of yaw rate and lateral acceleration to the steer of the road wheel: "
+            "transfer function with the band of 1 dB and 5 degrees, sine (dots) and sweep (thin "
+            "lines).",
+            _draw_frequency(models, sines, sweeps),
+        ),
+        Picture(
+            "step",
+            "Left: yaw rate after a jump of the road wheel to 2 m/s2, and the targets of its "
+            "response times. Middle and right: a step of the servo to 0.5 m/s2, simulated and by "
+            "the transfer function under the same steer.",
+            _draw_steps(jumps, runs),
+        ),
+    ]
+    return result
+
+
+# --- what is measured ---
+
+
+def without_servo(plant: Plant) -> Plant:
+    """Let the road wheels stand where they are commanded to, at once."""
+    plant.model.numeric("steering").data[:2] = 1e-6, 1e6
+    return plant
+
+
+def amplitude(car: CarUnderTest, vx: float, ay: float) -> float:
+    """Steer that makes a lateral acceleration in the steady state of the linear formula [rad]."""
+    return float(ay / (vx * Linear.of(car.params).yaw_gain(vx)))
+
+
+def steer(plant: Plant, vx: float, commands: Array) -> Run:
+    """Steer a car that drives straight.
+
+    Args:
+        plant: with Ts = DT.
+        vx: speed [m/s].
+        commands: steer [rad] at 0, DT, ..., shape (n,).
+
+    Returns:
+        Samples at the same times, shape (n,) less one: the acceleration of an instant is known
+        only after the step that begins there.
+    """
+    state = plant.reset(vx=vx)
+    drive = float(plant.data.ctrl[1])
+    samples = np.empty((len(commands), 3))
+    for sample, command in zip(samples, commands, strict=True):
+        sample[:2] = state.delta, state.r
+        state = plant.step(Command(float(command), drive))
+        sample[2] = state.ay
+    return Run(*samples.T)
+
+
+def step_response(values: Array, begin: float = 0.0) -> StepResponse:
+    """Response times of samples every DT.
+
+    Args:
+        values: shape (n,); the last 0.3 s are the steady state.
+        begin: from when the times count [s].
+    """
+    steady = values[-round(0.3 / DT) :].mean()
+
+    def crossing(share: float) -> float:
+        k = int(np.argmax(values >= share * steady))
+        before, after = values[k - 1], values[k]
+        return DT * (k - 1 + (share * steady - before) / (after - before)) - begin
+
+    peak = int(np.argmax(values))
+    return StepResponse(
+        crossing(0.5), crossing(0.9), DT * peak - begin, float(values[peak] / steady - 1.0)
+    )
+
+
+def step_steer(plant: Plant, vx: float, angle: float, seconds: float = 1.5) -> Run:
+    """Step of the command [rad] out of straight driving."""
+    return steer(plant, vx, np.full(round(seconds / DT), angle))
+
+
+def half_steer(run: Run) -> float:
+    """Instant at which the steer passes half its final value [s]."""
+    return DT * float(np.argmax(run.delta >= 0.5 * run.delta[-1]))
+
+
+def fit_sine(values: Array, frequency: float) -> tuple[complex, float]:
+    """Sine in samples every DT; mean and drift are left out.
+
+    Returns:
+        Complex amplitude, and what is not sine: rms of the rest over rms of the sine.
+    """
+    times = DT * np.arange(float(len(values)))
+    wave = 2.0 * math.pi * frequency * times
+    basis = np.stack([np.cos(wave), np.sin(wave), np.ones_like(times), times], axis=1)
+    weights = np.linalg.lstsq(basis, values, rcond=None)[0]
+    rest = values - basis @ weights
+    amplitude = complex(weights[0], -weights[1])
+    return amplitude, float(np.sqrt(2.0 * np.mean(rest**2)) / abs(amplitude))
+
+
+def sine_response(plant: Plant, vx: float, frequency: float, angle: float) -> tuple[Complex, float]:
+    """Yaw rate and lateral acceleration over steer, (2,), and the share that is not sine."""
+    period = 1.0 / frequency
+    settle, watch = max(2.0 * period, 2.5), max(2.0 * period, 1.0)
+    times = np.arange(0.0, settle + watch, DT)
+    run = steer(plant, vx, angle * np.sin(2.0 * math.pi * frequency * times))
+    last = slice(round(settle / DT), None)
+    (delta, _), *outputs = (fit_sine(v[last], frequency) for v in (run.delta, run.r, run.ay))
+    return np.array([z for z, _ in outputs]) / delta, max(rest for _, rest in outputs)
+
+
+@dataclass(frozen=True)
+class Sines:
+    """Frequency response at FREQUENCIES."""
+
+    outputs: Complex
+    """Yaw rate and lateral acceleration over steer, shape (n, 2)."""
+    rest: float
+    """Largest share of a response, up to 1.5 Hz, that is not sine [-]."""
+
+
+def sine_responses(car: CarUnderTest, vx: float) -> Sines:
+    """Steer by continuous sines, one after another."""
+    plant = car.plant(Ts=DT)
+    angle = amplitude(car, vx, AY)
+    found = [sine_response(plant, vx, f, angle) for f in FREQUENCIES]
+    rest = max(rest for f, (_, rest) in zip(FREQUENCIES, found, strict=True) if f <= 1.5)
+    return Sines(np.array([outputs for outputs, _ in found]), rest)
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Frequency response from one sweep."""
+
+    frequencies: Array
+    """[Hz], shape (n,)."""
+    outputs: Complex
+    """Yaw rate and lateral acceleration over steer, shape (n, 2)."""
+
+
+def sweep_response(car: CarUnderTest, vx: float) -> Sweep:
+    """Steer by a sine whose frequency rises from 0.1 to 4 Hz in 40 s."""
+    length, low, high = 40.0, 0.1, 4.0
+    times = np.arange(0.0, length, DT)
+    rate = math.log(high / low) / length
+    phase = 2.0 * math.pi * low * np.expm1(rate * times) / rate
+    fade = np.minimum(1.0, np.minimum(times / 5.0, (length - times) / 1.0))
+    signal = amplitude(car, vx, AY) * fade * np.sin(phase)
+    run = steer(car.plant(Ts=DT), vx, np.concatenate([signal, np.zeros(round(4.0 / DT))]))
+    count = len(run.delta)
+    frequencies: Array = np.asarray(np.fft.rfftfreq(count, DT), dtype=np.float64)
+    inside = (frequencies >= 0.2) & (frequencies <= 3.0)
+    spectra = [np.fft.rfft(v - v[0])[inside] for v in (run.delta, run.r, run.ay)]
+    outputs = np.stack([spectra[1] / spectra[0], spectra[2] / spectra[0]], axis=1)
+    return Sweep(frequencies[inside], outputs)
+
+
+def difference(measured: Any, expected: Any) -> tuple[float, float]:
+    """Largest difference of complex responses in gain [dB] and in phase [deg]."""
+    ratio = np.asarray(measured) / np.asarray(expected)
+    gain = float(np.max(np.abs(20.0 * np.log10(np.abs(ratio)))))
+    return gain, float(np.max(np.abs(np.degrees(np.angle(ratio)))))
+
+
+# --- verdicts ---
+
+
+def _steps(result: StudyResult, car: CarUnderTest) -> dict[float, Run]:
+    p = car.params
+    rows, jumps = [], {}
+    sharp = without_servo(car.plant(Ts=DT))
+    soft = car.plant(Ts=DT)
+    why = "handling target"
+    for vx, t90 in ((12.0, 0.14), (15.0, 0.16), (20.0, 0.20), (100.0 / 3.6, None)):
+        angle = STEP_AY * (p.wheelbase / vx**2 + 0.0044)
+        jumps[vx] = step_steer(sharp, vx, angle)
+        yaw = step_response(jumps[vx].r)
+        slow = step_steer(soft, vx, angle)
+        lateral = step_response(slow.ay, half_steer(slow))
+        rows.append(
+            (f"{vx:.1f}", *(1e3 * t for t in (yaw.t50, yaw.t90, yaw.peak)), 100.0 * yaw.overshoot,
+             1e3 * lateral.t90, slow.ay[-300:].mean())
+        )  # fmt: skip
+        if t90 is None:
+            continue
+        at = f"{vx:g} m/s"
+        for name, value, target in (
+            ("t50", yaw.t50, 76.0), ("t90", yaw.t90, 126.0), ("peak", yaw.peak, 200.0)
+        ):  # fmt: skip
+            result.find(f"yaw rate {name} after a step, {at}", 1e3 * value, "ms",
+                        Limit.near(target, 25.0), why, target=True)  # fmt: skip
+        result.find(
+            f"yaw rate overshoot, {at}", 100.0 * yaw.overshoot, "%", Limit.between(4.5, 7.5),
+            "handling target of 5-7 %, which is known to whole per cents", target=True,
+        )  # fmt: skip
+        result.find(f"lateral acceleration t90, {at}", 1e3 * lateral.t90, "ms",
+                    Limit.near(1e3 * t90, 30.0), why, target=True)  # fmt: skip
+    header = (
+        "speed [m/s]", "yaw t50 [ms]", "t90 [ms]", "peak [ms]", "overshoot [%]",
+        "ay t90, servo [ms]", "steady ay [m/s2]",
+    )  # fmt: skip
+    result.tables.append(Table("step", "Step of the road wheel", header, rows))
+    return jumps
+
+
+def _phases(result: StudyResult, sines: dict[float, Sines]) -> None:
+    for frequency, target in ((0.5, -8.0), (1.0, -26.0), (2.0, -49.0)):
+        response = sines[15.0].outputs[FREQUENCIES.index(frequency), 0]
+        result.find(
+            f"phase of yaw rate at {frequency:g} Hz, 15 m/s", math.degrees(np.angle(response)),
+            "deg", Limit.near(target, 6.0), "handling target", target=True,
+        )  # fmt: skip
+
+
+def _frequency(
+    result: StudyResult,
+    models: dict[float, Any],
+    sines: dict[float, Sines],
+    sweeps: dict[float, Sweep],
+) -> None:
+    rows = []
+    worst: dict[tuple[str, str], list[float]] = {}
+    for vx, model in models.items():
+        f = np.array(FREQUENCIES)
+        expected = frequency_response(model, f)
+        sweep = sweeps[vx]
+        swept = frequency_response(model, sweep.frequencies)
+        for column, (name, output) in enumerate(OUTPUTS.items()):
+            near = f <= HIGHEST[name]
+            gain, phase = difference(sines[vx].outputs[near, column], expected[near, output])
+            within = sweep.frequencies <= HIGHEST[name]
+            gain2, phase2 = difference(sweep.outputs[within, column], swept[within, output])
+            rows.append((name, f"{vx:.1f}", gain, phase, gain2, phase2))
+            for key, value in (
+                ("sine gain", gain), ("sine phase", phase), ("sweep gain", gain2),
+                ("sweep phase", phase2),
+            ):  # fmt: skip
+                worst.setdefault((name, key), []).append(float(value))
+    short = {"yaw rate": "yaw rate", "lateral acceleration": "ay"}
+    for name, highest in HIGHEST.items():
+        why = f"transfer function up to {highest:g} Hz at 0.5 m/s2, worst of three speeds"
+        for way in ("sine", "sweep"):
+            result.find(
+                f"{short[name]}, {way}: gain off by", max(worst[name, f"{way} gain"]), "dB",
+                Limit.at_most(1.0), why,
+            )  # fmt: skip
+            result.find(
+                f"{short[name]}, {way}: phase off by", max(worst[name, f"{way} phase"]), "deg",
+                Limit.at_most(5.0), why,
+            )  # fmt: skip
+    result.find(
+        "answer to a sine that is not sine", 100.0 * max(s.rest for s in sines.values()), "%",
+        Limit.at_most(2.0), "frequency responses mean something only for a linear car",
+    )  # fmt: skip
+    header = (
+        "output", "speed [m/s]", "sine gain [dB]", "sine phase [deg]", "sweep gain [dB]",
+        "sweep phase [deg]",
+    )  # fmt: skip
+    result.tables.append(
+        Table("differences", "Largest difference to the transfer function", header, rows)
+    )
+    for vx, measured in sines.items():
+        columns: dict[str, Any] = {"f_hz": FREQUENCIES}
+        for column, name in enumerate(OUTPUTS):
+            key = name.replace(" ", "_")
+            columns[f"{key}_gain"] = np.abs(measured.outputs[:, column])
+            columns[f"{key}_phase_deg"] = np.degrees(np.angle(measured.outputs[:, column]))
+        result.series.append(Series(f"sine-{vx:.0f}mps", columns))
+
+
+def _against_model(
+    result: StudyResult, car: CarUnderTest, models: dict[float, Any]
+) -> dict[float, tuple[Run, Array]]:
+    runs, worst = {}, {name: 0.0 for name in OUTPUTS}
+    for vx, model in models.items():
+        before = np.zeros(round(0.1 / DT))
+        step = np.full(round(1.4 / DT), amplitude(car, vx, AY))
+        run = steer(car.plant(Ts=DT), vx, np.concatenate([before, step]))
+        linear = linear_response(model, run.delta, DT)
+        runs[vx] = run, linear
+        for column, (name, output) in enumerate(OUTPUTS.items()):
+            off = np.abs(run.outputs[:, column] - linear[:, output]).max()
+            worst[name] = max(worst[name], off / abs(linear[-1, output]))
+    for name, value in worst.items():
+        short = "ay" if name.startswith("lateral") else name
+        result.find(
+            f"step to 0.5 m/s2: {short} off by", 100.0 * value, "%", Limit.at_most(10.0),
+            "transfer function under the same steer, of the steady value; 10 % is 1 dB",
+        )  # fmt: skip
+    return runs
+
+
+def _modes(result: StudyResult, models: dict[float, Any]) -> None:
+    rows = []
+    for vx, (A, _, _) in models.items():
+        values = np.linalg.eigvals(A)
+        pairs = sorted(values[values.imag > 1e-6], key=abs)
+        cells: list[object] = [f"{vx:.1f}"]
+        for value in pairs[:2]:
+            cells += [abs(value) / (2.0 * math.pi), -value.real / abs(value)]
+        cells += [""] * (5 - len(cells))
+        rows.append(cells)
+    header = ("speed [m/s]", "1st f [Hz]", "damping", "2nd f [Hz]", "damping ")
+    caption = "Slowest oscillating modes of the transfer function (yaw and roll)"
+    result.tables.append(Table("modes", caption, header, rows))
+
+
+# --- pictures ---
+
+
+@plots.styled
+def _draw_frequency(
+    models: dict[float, Any], sines: dict[float, Sines], sweeps: dict[float, Sweep]
+) -> Any:
+    figure, axes = plots.axes(2, 2, height=4.4, sharex=True)
+    colours = (plots.BLUE, plots.GREEN, plots.ORANGE)
+    f = np.geomspace(0.15, 3.2, 200)
+    for (vx, model), colour in zip(models.items(), colours, strict=True):
+        expected = frequency_response(model, f)
+        for column, (name, output) in enumerate(OUTPUTS.items()):
+            gain, phase = axes[:, column]
+            db = 20.0 * np.log10(np.abs(expected[:, output]))
+            deg = np.degrees(np.unwrap(np.angle(expected[:, output])))
+            near = f <= HIGHEST[name]
+            for axis, line, tolerance in ((gain, db, 1.0), (phase, deg, 5.0)):
+                axis.semilogx(f, line, color=colour, lw=1.0, label=f"{vx:.1f} m/s")
+                axis.fill_between(f[near], line[near] - tolerance, line[near] + tolerance,
+                                  color=colour, alpha=0.15, lw=0.0)  # fmt: skip
+            sweep = sweeps[vx]
+            for axis, found in (
+                (gain, lambda z: 20.0 * np.log10(np.abs(z))),
+                (phase, lambda z: np.degrees(np.unwrap(np.angle(z)))),
+            ):
+                axis.plot(sweep.frequencies, found(sweep.outputs[:, column]), color="black", lw=0.5,
+                          label="sweep" if vx == SPEEDS[-1] else None)  # fmt: skip
+                dots = found(sines[vx].outputs[:, column])
+                axis.plot(FREQUENCIES, dots, "o", ms=3.0, color=colour, mec="black", mew=0.4,
+                          zorder=5)  # fmt: skip
+    ticks = (0.2, 0.5, 1.0, 2.0, 3.0)
+    for column, name in enumerate(OUTPUTS):
+        unit = "1/s" if column == 0 else "m/s² per rad"
+        plots.label(axes[0, column], "", f"gain [dB re {unit}]", name.capitalize())
+        plots.label(axes[1, column], "frequency [Hz]", "phase [deg]")
+        axes[1, column].set_xticks(ticks, [f"{t:g}" for t in ticks])
+        axes[1, column].minorticks_off()
+    axes[0, 0].legend(loc="lower left")
+    return figure
+
+
+@plots.styled
+def _draw_steps(jumps: dict[float, Run], runs: dict[float, tuple[Run, Array]]) -> Any:
+    figure, (left, middle, right) = plots.axes(1, 3, height=2.6)
+    colours = (plots.SKY, plots.BLUE, plots.GREEN)
+    for vx, colour in zip((12.0, 15.0, 20.0), colours, strict=True):
+        r = jumps[vx].r
+        times = DT * np.arange(float(len(r)))
+        left.plot(times, 100.0 * r / r[-300:].mean(), color=colour, label=f"{vx:g} m/s")
+    for k, (share, target) in enumerate(((50.0, 0.076), (90.0, 0.126))):
+        left.plot([target - 0.025, target + 0.025], [share] * 2, color=plots.RED, lw=2.0, zorder=4,
+                  solid_capstyle="butt", label=None if k else "targets")  # fmt: skip
+    left.fill_between([0.175, 0.225], 104.5, 107.5, color=plots.RED, alpha=0.4, lw=0.0)
+    left.set_xlim(0.0, 0.6)
+    left.set_ylim(0.0, 118.0)
+    plots.label(left, "time [s]", "yaw rate over steady [%]", "Jump to 2 m/s²")
+    left.legend(loc="lower right")
+    colours = (plots.BLUE, plots.GREEN, plots.ORANGE)
+    for (vx, (run, linear)), colour in zip(runs.items(), colours, strict=True):
+        times = DT * np.arange(float(len(run.r))) - half_steer(run)
+        for axis, values, expected in (
+            (middle, np.degrees(run.r), np.degrees(linear[:, YAW_RATE])),
+            (right, run.ay, linear[:, LATERAL_ACCELERATION]),
+        ):
+            axis.plot(times, values, color=colour, label=f"{vx:.1f} m/s")
+            axis.plot(times, expected, color="black", lw=0.8, ls=(0, (4, 2)))
+    middle.plot([], [], color="black", lw=0.8, ls=(0, (4, 2)), label="transfer function")
+    for axis in (middle, right):
+        axis.set_xlim(-0.1, 1.0)
+    plots.label(middle, "time after half the steer [s]", "yaw rate [deg/s]", "Step to 0.5 m/s²")
+    plots.label(right, "time after half the steer [s]", "lateral acceleration [m/s²]")
+    middle.legend(loc="lower right")
+    return figure
