@@ -7,6 +7,15 @@ import pytest
 from lpvmpc import native
 from lpvmpc.errors import LPVMPCError, ModelError, OptionError
 from lpvmpc.plant import Plant
+from lpvmpc.studies import straight, transient
+from lpvmpc.studies.static import on_slope
+from lpvmpc.studies.steady_state import (
+    deg_per_g,
+    effective_stiffness,
+    fastest_turning_speed,
+    steady,
+)
+from lpvmpc.studies.study import CarUnderTest
 from lpvmpc.vehicle import GRAVITY, Command
 
 REST = Command(0.0, 0.0)
@@ -22,14 +31,6 @@ def drive(plant, seconds, command=REST, wind=(0.0, 0.0)):
     for _ in range(round(seconds / plant.Ts)):
         state = plant.step(command, wind)
     return state
-
-
-def on_slope(direction, grade=0.1):
-    plant = Plant()
-    angle = math.atan(grade)
-    down = 9.81 * math.sin(angle)
-    plant.model.opt.gravity[:] = down * direction[0], down * direction[1], -9.81 * math.cos(angle)
-    return plant
 
 
 # --- standing and driving straight ---
@@ -53,7 +54,7 @@ def test_a_standing_car_stays_where_it_is():
 
 @pytest.mark.parametrize("direction", [(-1, 0), (1, 0), (0, 1)], ids=["up", "down", "across"])
 def test_brakes_hold_the_car_on_a_10_percent_slope(direction):
-    plant = on_slope(direction)
+    plant = on_slope(Plant(), direction)
     plant.reset(trim=False)
     start = drive(plant, 3.0, Command(0.0, -3.0))
     end = drive(plant, 20.0, Command(0.0, -3.0))
@@ -62,7 +63,7 @@ def test_brakes_hold_the_car_on_a_10_percent_slope(direction):
 
 
 def test_without_brakes_the_car_rolls_down_the_slope():
-    plant = on_slope((1, 0))
+    plant = on_slope(Plant(), (1, 0))
     plant.reset(trim=False)
     end = drive(plant, 3.0)
     # g sin(angle) less 1 % rolling resistance, wheels' inertia included
@@ -94,17 +95,10 @@ def test_left_and_right_runs_mirror_each_other():
 
 
 def test_acceleration_is_what_is_commanded_at_any_speed_and_step():
-    gained = []
-    for timestep in (0.0005, 0.001):
-        plant = Plant(Ts=0.01, timestep=timestep)
-        for name in ("tire_f", "tire_r"):
-            plant.model.numeric(name).data[-1] = 0.0  # no rolling resistance
-        plant.model.numeric("aero").data[1:3] = 0.0
-        plant.model.numeric("powertrain").data[2] = 1e9
-        for vx in (5.0, 15.0, 25.0):
-            plant.reset(vx=vx, trim=False)
-            start = drive(plant, 1.0, Command(0.0, 1.0))
-            gained.append(drive(plant, 1.0, Command(0.0, 1.0)).vx - start.vx)
+    under_test = CarUnderTest.packaged()
+    gained = [
+        straight.gained(under_test, vx, dt) for dt in (0.0005, 0.001) for vx in (5.0, 15.0, 25.0)
+    ]
     # a force applied one step late would depend on speed and step; 1e-4 is the spin of the slipping
     # front wheels
     assert gained == pytest.approx(np.ones(6), abs=2e-4)
@@ -202,98 +196,63 @@ def test_the_steady_limit_is_the_one_in_the_file(car):
 # --- handling targets: the car stands in for a CarSim car, see models/README.md ---
 
 
-def steady(car, vx, ay=1.0):
-    s = car.reset(vx=vx, kappa=ay / vx**2)
-    return s, s.vx * s.r
-
-
 @pytest.mark.parametrize("vx", [10.0, 20.0, 30.0])
 def test_understeer_gradient_meets_the_target(car, vx):
-    s, ay = steady(car, vx)
-    gradient = (s.delta - car.params.wheelbase * s.r / s.vx) / ay
-    assert math.degrees(gradient) * 9.81 == pytest.approx(2.45, abs=0.25)
+    s = steady(car, vx, 1.0)
+    assert deg_per_g(s.understeer(car.params.wheelbase) / s.ay) == pytest.approx(2.45, abs=0.25)
 
 
 @pytest.mark.parametrize("vx, gain", [(10.0, 3.09), (15.0, 3.96), (20.0, 4.39)])
 def test_yaw_gain_meets_the_target(car, vx, gain):
-    s, _ = steady(car, vx)
+    s = steady(car, vx, 1.0)
     assert s.r / s.delta == pytest.approx(gain, rel=0.04)
 
 
 def test_yaw_gain_is_highest_at_the_target_speed(car):
-    speeds = np.arange(22.0, 30.0)
-    gains = [s.r / s.delta for s, _ in (steady(car, vx, 0.5) for vx in speeds)]
-    assert speeds[np.argmax(gains)] == pytest.approx(25.0, abs=1.5)
+    assert fastest_turning_speed(car) == pytest.approx(25.0, abs=1.5)
 
 
 def test_rear_slip_gradient_meets_the_target(car):
-    s, ay = steady(car, 20.0)
-    gradient = (s.vy / s.vx - car.params.lr * s.r / s.vx) / ay
-    assert math.degrees(gradient) * 9.81 == pytest.approx(-1.7, abs=0.1)
+    s = steady(car, 20.0, 1.0)
+    assert deg_per_g(s.rear_slip(car.params.lr) / s.ay) == pytest.approx(-1.7, abs=0.1)
 
 
 def test_effective_axle_stiffness_meets_the_target(car):
-    s, ay = steady(car, 20.0)
-    p = car.params
-    alpha_f = s.delta - (s.vy + p.lf * s.r) / s.vx
-    alpha_r = -(s.vy - p.lr * s.r) / s.vx
-    share = p.m * ay / p.wheelbase
-    assert share * p.lr / alpha_f == pytest.approx(122e3, abs=6e3)
-    assert share * p.lf / alpha_r == pytest.approx(229e3, abs=12e3)
+    front, rear = effective_stiffness(steady(car, 20.0, 1.0), car.params)
+    assert front == pytest.approx(122e3, abs=6e3)
+    assert rear == pytest.approx(229e3, abs=12e3)
 
 
 def test_sideslip_changes_sign_at_the_target_speed(car):
-    assert steady(car, 22.0)[0].vy > 0.0 > steady(car, 24.0)[0].vy
+    assert steady(car, 22.0, 1.0).vy > 0.0 > steady(car, 24.0, 1.0).vy
 
 
-def ideal_servo():
-    """A plant whose road wheels are where they are commanded to be."""
-    plant = Plant(Ts=0.001)
-    plant.model.numeric("steering").data[:2] = 1e-6, 1e6
-    return plant
+def step_angle(vx):
+    return 2.0 * (2.8 / vx**2 + 0.0044)  # about 2 m/s2
 
 
 @pytest.mark.parametrize("vx", [12.0, 15.0, 20.0])
 def test_yaw_rate_after_a_step_of_the_road_wheel_meets_the_target(vx):
-    plant = ideal_servo()
-    plant.reset(vx=vx)
-    ax = plant.data.ctrl[1]
-    r = np.array([plant.step(Command(2.0 * (2.8 / vx**2 + 0.0044), ax)).r for _ in range(1500)])
-    steady_rate = r[-300:].mean()
-    t50, t90 = (1e-3 * np.argmax(r >= part * steady_rate) for part in (0.5, 0.9))
-    assert t50 == pytest.approx(0.076, abs=0.025)
-    assert t90 == pytest.approx(0.126, abs=0.025)
-    assert 1e-3 * np.argmax(r) == pytest.approx(0.20, abs=0.025)
-    assert r.max() / steady_rate - 1 == pytest.approx(0.05, abs=0.03)  # 5-7 % is the target
+    plant = transient.without_servo(Plant(Ts=transient.DT))
+    found = transient.step_response(transient.step_steer(plant, vx, step_angle(vx)).r)
+    assert found.t50 == pytest.approx(0.076, abs=0.025)
+    assert found.t90 == pytest.approx(0.126, abs=0.025)
+    assert found.peak == pytest.approx(0.20, abs=0.025)
+    assert found.overshoot == pytest.approx(0.05, abs=0.03)  # 5-7 % is the target
 
 
 @pytest.mark.parametrize("vx, target", [(12.0, 0.14), (15.0, 0.16), (20.0, 0.20)])
 def test_lateral_acceleration_after_a_step_meets_the_target(vx, target):
-    plant = Plant(Ts=0.001)
-    plant.reset(vx=vx)
-    ax = plant.data.ctrl[1]
-    angle = 2.0 * (2.8 / vx**2 + 0.0044)
-    states = [plant.step(Command(angle, ax)) for _ in range(1500)]
-    half = np.argmax([s.delta >= 0.5 * angle for s in states])
-    ay = np.array([s.ay for s in states])
-    t90 = 1e-3 * (np.argmax(ay >= 0.9 * ay[-300:].mean()) - half)
-    assert t90 == pytest.approx(target, abs=0.030)
+    run = transient.step_steer(Plant(Ts=transient.DT), vx, step_angle(vx))
+    found = transient.step_response(run.ay, transient.half_steer(run))
+    assert found.t90 == pytest.approx(target, abs=0.030)
 
 
 @pytest.mark.parametrize("frequency, phase", [(0.5, -8.0), (1.0, -26.0), (2.0, -49.0)])
 def test_phase_from_steering_to_yaw_rate_meets_the_target(frequency, phase):
-    plant = ideal_servo()
-    plant.reset(vx=15.0)
-    ax = plant.data.ctrl[1]
-    n = round(4000 / frequency)
-    wave = 2 * math.pi * frequency * 1e-3 * np.arange(n)
-    states = [plant.step(Command(0.015 * math.sin(w), ax)) for w in wave]
-    last = slice(n // 2, n)  # two whole periods, settled
-    gain = [
-        np.exp(-1j * wave[last]) @ np.array(v)[last]
-        for v in zip(*((s.r, s.delta) for s in states), strict=True)
-    ]
-    assert math.degrees(np.angle(gain[0] / gain[1])) == pytest.approx(phase, abs=6.0)
+    plant = Plant(Ts=transient.DT)
+    response, _ = transient.sine_response(plant, 15.0, frequency, 0.015)
+    assert math.degrees(np.angle(response[0])) == pytest.approx(phase, abs=6.0)
 
 
 # --- state, saving, many at once ---
