@@ -45,6 +45,8 @@ MODELS = (
     Model(key="oracle", stiffness="oracle"),
 )
 """The models that are compared; `constant-best` is scaled by what `search` finds."""
+DRY = Model(key="network-dry", stiffness="network-dry")
+"""What estimating friction is worth: on slippery roads, the network without the estimate."""
 PLAIN = Model(key="lpv-mpc-paper", stiffness="constant", controller="lpv-mpc-paper")
 """The paper's plain formulation: constant stiffness, no observer, no lags, no feed-forward."""
 ABOUT = {
@@ -52,6 +54,7 @@ ABOUT = {
     "constant-best": "the nominal stiffness times its best factor",
     "network-secant": "the paper's network: force over slip angle, predicted from vx, vy, delta, "
     "ax, r",
+    "network-dry": "ours on a road taken to be dry, whatever it mispredicts; slippery roads only",
     "network": "ours: force and local slope along the prediction, friction estimated online",
     "oracle-secant": "the plant's own force over slip angle, now",
     "oracle": "the plant's own tire law along the prediction, friction known",
@@ -85,7 +88,7 @@ class Case:
     def models(self) -> tuple[Model, ...]:
         """Who drives it; an oracle that is made wrong is none, and one constant is enough."""
         if not self.wrong:
-            return (*MODELS, PLAIN)
+            return (*MODELS, *([DRY] if self.group == "friction" else []), PLAIN)
         return tuple(m for m in MODELS if m.key in ("constant", "network-secant", "network"))
 
 

@@ -13,6 +13,7 @@ from typing import Any
 from lpvmpc.ablation import (
     ABOUT,
     CHARGE,
+    DRY,
     GROUPS,
     MODELS,
     PLAIN,
@@ -69,7 +70,7 @@ def report(
         DEFINITIONS.format(weights=weights()),
         "Models:",
         "",
-        *(f"- `{model.key}`: {ABOUT[model.key]}." for model in (*MODELS, PLAIN)),
+        *(f"- `{model.key}`: {ABOUT[model.key]}." for model in (*MODELS, DRY, PLAIN)),
         "",
         "## Verdict",
         "",
@@ -141,7 +142,7 @@ def short(value: float) -> str:
 def _lines(rows: Sequence[Row]) -> list[tuple[Model, bool]]:
     """The lines of a table: models with the observer, then without, then the plain one."""
     there = {(r.model.key, r.observer) for r in rows}
-    wanted = [(m, observer) for observer in (True, False) for m in (*MODELS, PLAIN)]
+    wanted = [(m, observer) for observer in (True, False) for m in (*MODELS, DRY, PLAIN)]
     return [(m, observer) for m, observer in wanted if (m.key, observer) in there]
 
 
@@ -163,7 +164,7 @@ def group_table(rows: Sequence[Row], group: str) -> str:
 def summary_table(table: Table) -> str:
     """Per model: lost runs, typical error, and step times on one road."""
     body = []
-    for m, observer in _lines([r for r in table.rows if not r.case.wrong]):
+    for m, observer in _lines([r for r in table.rows if not r.case.wrong and r.model != DRY]):
         rows = table.of(m.key, observer)
         timed = table.get("circuit-0.87", m.key, observer) or rows[0]
         times = timed.result["step_time_us"] or {}
@@ -204,7 +205,7 @@ def bars_table(found: Sequence[Bar]) -> str:
     body = [
         (
             bar.text,
-            f"{bar.value:.3g}",
+            f"{bar.value:.3f}" if bar.value < 1.0 else f"{bar.value:.3g}",
             f"{'>=' if bar.at_least else '<='} {bar.limit:.3g}",
             bar.unit,
             "met" if bar.ok else "MISSED",

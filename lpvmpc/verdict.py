@@ -160,6 +160,7 @@ def sentences(table: Table, searches: dict[bool, Search]) -> list[str]:
         lambda: _survival(table),
         lambda: _observer(table),
         lambda: _friction_sentence(table),
+        lambda: _estimate(table),
         lambda: _claim(table),
     ]
     return [sentence for tell in told if (sentence := tell()) is not None]
@@ -272,6 +273,28 @@ def _friction_sentence(table: Table) -> str | None:
     return (
         f"Friction that nobody announced: the network, which estimates it, lost {lost} of "
         f"{len(ours)} runs; its RMSE is {factor:.2g} times that of the oracle, which is told."
+    )
+
+
+def _estimate(table: Table) -> str | None:
+    """What estimating friction is worth, beside leaving it to the observer."""
+    pairs = [
+        (known, dry)
+        for dry in table.of("network-dry", True)
+        if (known := table.get(dry.case.key, "network", True)) is not None
+    ]
+    if not pairs:
+        return None
+    factor = geometric_mean(dry.rmse / known.rmse for known, dry in pairs)
+    worst = max(pairs, key=lambda pair: pair[1].largest / pair[0].largest)
+    lost = sum(not dry.completed for _, dry in pairs)
+    kept = "kept" if factor >= 1.0 else "kept although it does worse"
+    return (
+        f"On slippery roads the network that estimates friction is {kept}: one that takes the road "
+        f"to be dry and leaves the rest to the observer has {factor:.2g} times its RMSE (geometric "
+        f"mean of {len(pairs)} cases, {lost} lost), its largest error at the worst "
+        f"{1e3 * worst[1].largest:.0f} mm against {1e3 * worst[0].largest:.0f} mm "
+        f"({worst[0].case.title})."
     )
 
 

@@ -13,7 +13,7 @@ SEARCHES = {
     False: Search(cost={0.8: 0.006, 0.9: 0.004}, lost={0.8: 0, 0.9: 0}),
 }
 GOOD = {"constant": 6.0, "constant-best": 4.0, "network-secant": 2.0, "network": 1.0,
-        "oracle-secant": 1.5, "oracle": 0.9, "lpv-mpc-paper": 30.0}  # fmt: skip
+        "oracle-secant": 1.5, "oracle": 0.9, "network-dry": 3.0, "lpv-mpc-paper": 30.0}  # fmt: skip
 """Made-up lateral RMSE with the observer [mm]; without it, twice as much."""
 
 
@@ -287,3 +287,13 @@ def test_the_picture_is_drawn_with_lost_cars(tmp_path):
     file = tmp_path / "picture.png"
     ablation_report.draw(made_up(lost), file)
     assert file.read_bytes().startswith(b"\x89PNG")
+
+
+def test_what_estimating_friction_is_worth_is_told_whichever_way_it_falls():
+    (told,) = [s for s in sentences(Table(made_up()), SEARCHES) if "estimates friction" in s]
+    assert "is kept: one that takes the road to be dry" in told and "has 3 times its RMSE" in told
+    worse = {
+        (case.key, "network-dry", True): result(0.5) for case in CASES if case.group == "friction"
+    }
+    (told,) = [s for s in sentences(Table(made_up(worse)), SEARCHES) if "estimates friction" in s]
+    assert "kept although it does worse" in told and "has 0.5 times its RMSE" in told
