@@ -68,9 +68,11 @@ UNITS = {
     "ax": 5.0,
 }
 """Size of each variable that counts as one in the cost [m/s, m/s, rad/s, m, rad, rad, m/s2]."""
-SLIP_RATIO = 0.05
-"""Slip of a driven wheel from which on the drive is held back [-]: a third of the tires' peak on a
-dry road, two thirds of it at friction 0.5."""
+SLIP_RATIO = 0.1
+"""Slip of a driven wheel from which on the drive is held back, on a dry road [-]: two thirds of the
+tires' peak, which moves to smaller slip with the friction."""
+FRICTION_MIN = 0.5
+"""Smallest friction that is believed here: where little grip is used the estimate drifts."""
 RELEASE = 6.0
 """Rate at which it is released again [m/s3]."""
 SCALE = np.array([0.1, 1.0])
@@ -590,8 +592,8 @@ class LPVMPC:
     def _hold_traction(self, state: State, a: float, most: float) -> float:
         """Largest acceleration to ask for, so that no driven wheel spins [m/s2].
 
-        Where the wheel speeds tell more slip than `SLIP_RATIO`, less than what is driven with now,
-        in proportion; from there on it rises by at most `RELEASE`.
+        Where the wheel speeds tell more slip than `SLIP_RATIO` times the friction, less than what
+        is driven with now, in proportion; from there on it rises by at most `RELEASE`.
         """
         car, spin = self.car, state.wheel_speed
         turn = 0.5 * car.track_f * state.r
@@ -599,8 +601,10 @@ class LPVMPC:
         right = spin[1] * car.R_w / max(state.vx + turn, car.vx_min)
         slip = float(max(left, right)) - 1.0
         allowed = min(self._allowed + RELEASE * self.Ts, most)
-        if slip > SLIP_RATIO:
-            allowed = min(allowed, max(a, 0.0) * SLIP_RATIO / slip)
+        friction = getattr(self.stiffness, "friction", 1.0)
+        bound = SLIP_RATIO * min(max(friction, FRICTION_MIN), 1.0)
+        if slip > bound:
+            allowed = min(allowed, max(a, 0.0) * bound / slip)
         self._allowed = allowed
         return allowed
 
