@@ -84,7 +84,8 @@ def make(study):
                 ("runs", "train"): (0.98, 0.98), ("runs", "test"): (0.95, 0.96)},
         )  # fmt: skip
         told = {
-            "quick": quick, "jobs": 1, "equipment": equipment, "rows": rows, "kept": 7,
+            "quick": quick, "jobs": 1, "equipment": equipment, "rows": rows, "driven": len(rows),
+            "kept": 7,
             "rests": rests, "logs": {OURS: fake_log(), LMPC: fake_log()},
             "stiffness": evidence.Stiffness(title="circuit 87 %", t=t, alpha=0.01 * true / 1e5,
                                             true=true, said=said),
@@ -268,17 +269,17 @@ def test_the_papers_claim_is_judged_whichever_way_it_falls(make, hand, verdict):
 def test_what_the_printed_slips_do_is_told(make):
     text = next(s for s in findings.sentences(make()) if s.startswith("As printed"))
     assert "lose the car on all roads" in text
-    assert "signs and drag alone lose it somewhere" in text
-    assert "error cost accuracy" in text.replace("and error", "error")
-    assert "curvature change the lateral error by less than 10 %" in text
+    assert "alone it is lost somewhere with signs and drag" in text
+    assert "grows with error (3.0 times)" in text
+    assert "less than 10 % with dt, bracket, bounds, terminal and curvature" in text
 
 
 def test_the_parts_are_told_by_what_they_bring(make):
     told = findings.sentences(make())
     chain = next(s for s in told if s.startswith("From the plain"))
-    assert "falls by 10 " in chain and "exact hold instead of Euler (10.0)" in chain
-    alone = next(s for s in told if s.startswith("Taken from"))
-    assert "misses observer (4.0 times)" in alone and "hardly hold, span" in alone
+    assert "falls by a factor of 10 " in chain and "exact hold instead of Euler (10.0)" in chain
+    alone = next(s for s in told if s.startswith("Each part taken alone"))
+    assert "RMSE: observer (4.0)" in alone and "hardly at all hold, span" in alone
 
 
 def test_a_lost_baseline_leaves_no_ratio(make):

@@ -100,8 +100,10 @@ class Evidence:
     """Weights and networks."""
     rows: Sequence[Row]
     """All closed loops."""
+    driven: int
+    """How many of them are different."""
     kept: int
-    """How many of them an earlier run had kept."""
+    """How many of those an earlier call had kept."""
     rests: Sequence[rest.Rest]
     """What the steering did after gusts."""
     logs: Mapping[str, Log]
@@ -143,8 +145,13 @@ class Evidence:
 
 def drive(
     entries: Sequence[Entry], cases: Sequence[Case], *, jobs: int, cache: Path, say: Say
-) -> tuple[list[Row], int]:
-    """Drive every entry on its roads; returns the rows, and how many were kept from before."""
+) -> tuple[list[Row], int, int]:
+    """Drive every entry on its roads.
+
+    Returns:
+        The rows, how many different runs they stand on, and how many of those were kept from
+        before.
+    """
     planned = [(entry, case) for entry in entries for case in plan.cases_of(entry, cases)]
     runs = [
         plan.run_of(case, entry.controller, entry.options, entry.key) for entry, case in planned
@@ -162,7 +169,7 @@ def drive(
         Row(entry=entry, case=case, result=results[run.key()])
         for (entry, case), run in zip(planned, runs, strict=True)
     ]
-    return rows, kept[0]
+    return rows, len(unique), kept[0]
 
 
 def on_the_papers_road(equipment: Equipment) -> dict[str, Log]:
@@ -244,7 +251,7 @@ def said(kind: str, log: Log, equipment: Equipment) -> Array:
     Fx = np.column_stack([c["Fx_fl_N"] + c["Fx_fr_N"], c["Fx_rl_N"] + c["Fx_rr_N"]])
     rate = np.gradient(c["roll_rad"], log.meta["Ts"])
     roll = car.K_phi * c["roll_rad"] + car.C_phi * rate
-    norms = np.tile(network.normalisation(car), (n, 1))
+    norms = np.repeat(network.normalisation(car)[None], n, axis=0)  # (n, 2, numbers)
     Fy, slope, slope_zero = (np.empty((n, 2)) for _ in range(3))
     net = network.NetworkTire(car, weights).net
     network.forces_of(
@@ -289,7 +296,7 @@ def gather(
     equipment = equip(tunings, networks)
     cases = [case for case in plan.CASES if not quick or case.key in plan.QUICK]
     entries = plan.entries(equipment)
-    rows, kept = drive(
+    rows, driven, kept = drive(
         plan.quick(entries) if quick else entries, cases, jobs=jobs, cache=cache, say=say
     )
     rests = gusts(equipment, QUICK_SPEEDS if quick else rest.SPEEDS, say)
@@ -312,6 +319,7 @@ def gather(
         anew=tuple(what for what, new in made if new),
         equipment=equipment,
         rows=rows,
+        driven=driven,
         kept=kept,
         rests=rests,
         logs=logs,

@@ -109,6 +109,19 @@ def _baseline(e: Evidence) -> Iterable[Number]:
             yield Number(key=f"{other}_ratio_{key}", group="baseline", unit="times",
                          text=f"{what} RMSE over that of {than}", paper=PAPER_RATIO[key],
                          ours=ours, third=third, remark=remark)  # fmt: skip
+    yield _aggressive(e)
+
+
+def _aggressive(e: Evidence) -> Number:
+    """The paper says of the PSO-PID that it is more aggressive, and gives no number."""
+    jerk = {}
+    for name in (LMPC, OURS):
+        change = np.diff(e.logs[name].columns["ax_cmd_mps2"]) / float(e.logs[name].meta["Ts"])
+        jerk[name] = float(np.sqrt(np.mean(np.square(change))))
+    value = jerk[LMPC] / jerk[OURS] if jerk[OURS] > 0.0 else None
+    return Number(key="jerk_ratio", group="baseline", unit="times", paper="larger", ours=value,
+                  text="RMS of the commanded jerk over ours",
+                  remark='"more aggressive, as it cannot handle constraints"')  # fmt: skip
 
 
 def _computation(e: Evidence) -> Iterable[Number]:
@@ -288,8 +301,8 @@ def _on_the_papers_road(e: Evidence) -> str | None:
     return (
         f"On the paper's road in full wind, nine times the force of the authors' code, our "
         f"controller keeps a lateral RMSE of {1e3 * row.rmse:.2f} mm where the paper prints "
-        f"{1e3 * PAPER_OURS['lateral_rmse_m']:.1f} mm, {_times(factor)}; the plants differ, so "
-        "this says more about the setting than about the method."
+        f"{1e3 * PAPER_OURS['lateral_rmse_m']:.1f} mm, {_times(factor)}. The plants differ, so "
+        "that alone says little about the method; the ratios below say more."
     )
 
 
@@ -335,7 +348,7 @@ def _claim(e: Evidence) -> str | None:
 
 def _printed(e: Evidence) -> str | None:
     """What the printed slips do."""
-    start = [row for row in e.rows if (row.entry.group, row.entry.key) == ("printed", "as printed")]
+    start = _ablated(e, "printed", "as printed")
     if not start:
         return None
     lost = sum(not row.completed for row in start)
@@ -345,16 +358,16 @@ def _printed(e: Evidence) -> str | None:
     if not base or not all(alone.values()):
         return text + "."
     fatal = [name for name, rows in alone.items() if not all(row.completed for row in rows)]
-    harmless = [name for name, rows in alone.items()
-                if name not in fatal and _factor(rows, base) < MATTERS]  # fmt: skip
-    rest_ = [name for name in SLIPS if name not in fatal and name not in harmless]
+    cost = {name: _factor(rows, base) for name, rows in alone.items() if name not in fatal}
+    costly = [f"{name} ({value:.1f} times)" for name, value in cost.items() if value >= MATTERS]
+    harmless = [name for name, value in cost.items() if value < MATTERS]
     for names, what in (
-        (fatal, "alone lose it somewhere"),
-        (rest_, "cost accuracy"),
-        (harmless, "change the lateral error by less than 10 %"),
+        (fatal, "alone it is lost somewhere with"),
+        (costly, "the lateral RMSE grows with"),
+        (harmless, "and by less than 10 % with"),
     ):
         if names:
-            text += f"; {_listed(names)} {what}"
+            text += f"; {what} {_listed(names)}"
     return text + "."
 
 
@@ -372,19 +385,19 @@ def _chain(e: Evidence) -> str | None:
     best = [f"{entry.text} ({gain:.1f})" for gain, entry in shown[:4] if gain >= MATTERS]
     worse = [f"{entry.text} ({gain:.2f})" for gain, entry in shown[::-1] if gain < 1.0 / MATTERS]
     text = (
-        f"From the plain formulation to the full controller the lateral RMSE falls by "
+        f"From the plain formulation to the full controller the lateral RMSE falls by a factor of "
         f"{math.prod(gain for gain, _ in gains):.0f} (geometric mean over the roads, lost cars "
         f"charged); most of it by {_listed(best) or 'no single part'}"
     )
     if worse:
-        text += f"; on the way {_listed(worse)} make it larger"
+        text += f"; on the way {_listed(worse)} made it larger"
     return text + "."
 
 
 def _without(e: Evidence) -> str | None:
     """Which parts the full controller needs."""
     base = _ablated(e, "without", "full")
-    needed, idle = [], []
+    needed, idle, harmful = [], [], []
     for entry in e.entries("without")[1:]:
         rows = _ablated(e, "without", entry.key)
         if not base or not rows:
@@ -392,17 +405,23 @@ def _without(e: Evidence) -> str | None:
         lost = sum(not row.completed for row in rows)
         factor = _factor(rows, base)
         name = entry.key.removeprefix("- ")
-        if lost or factor >= MATTERS:
-            shown = f"{name} ({f'lost on {lost}' if lost else f'{factor:.1f} times'})"
-            needed.append((math.inf if lost else factor, shown))
+        if lost > sum(not row.completed for row in base):
+            needed.append((math.inf, f"{name} (lost on {lost} of {len(rows)} roads)"))
+        elif factor >= MATTERS:
+            needed.append((factor, f"{name} ({factor:.1f})"))
         elif factor > 1.0 / MATTERS:
             idle.append(name)
-    if not base or not needed:
+        else:
+            harmful.append(f"{name} ({factor:.2f})")
+    if not base:
         return None
     needed.sort(key=lambda pair: -pair[0])
-    text = f"Taken from the full controller alone, it misses {_listed([n for _, n in needed])}"
+    text = "Each part taken alone from the full controller multiplies the lateral RMSE: "
+    text += _listed([name for _, name in needed]) or "none by more than a tenth"
     if idle:
-        text += f", and hardly {_listed(idle)}"
+        text += f"; hardly at all {_listed(idle)}"
+    if harmful:
+        text += f"; without these it is smaller: {_listed(harmful)}"
     return text + "."
 
 

@@ -121,15 +121,14 @@ def _options(e: Evidence) -> Iterable[str]:
 def head(e: Evidence) -> list[str]:
     """Machine, versions, seeds, weights."""
     used = ", ".join(f"{name} {number}" for name, number in versions().items())
-    runs = len(e.rows)
     seeds = e.sphere.selections[0].seeds
     return [
         f"Machine: {machine()}; {e.jobs} run{'s' if e.jobs > 1 else ''} at a time.",
         f"Versions: {used}; commit {commit() or 'unknown'}; {date.today().isoformat()}.",
         f"Seeds: 0 for controllers (none of them draws) and tuning, {seeds[0]} to {seeds[-1]} for "
         "the sphere function.",
-        f"{runs} lines and roads were driven in {e.seconds / 60.0:.1f} minutes, pictures and "
-        f"all; {e.kept} runs were kept from before.",
+        f"The tables hold {len(e.rows)} runs, {e.driven} of them different; {e.kept} were kept "
+        f"from an earlier call, all the rest took {e.seconds / 60.0:.1f} minutes.",
         weights_sentence(e),
     ]
 
@@ -191,7 +190,8 @@ def numbers_table(numbers: Sequence[Number], group: str) -> str:
     for n in own:
         values = (n.paper, n.ours, n.third) if third else (n.paper, n.ours)
         body.append([n.text, n.unit, *(show(value, digits) for value in values), n.remark])
-    return markdown_table(findings.TABLES[group], [*header, "remark"], body)
+    text = ("unit", "remark")
+    return markdown_table(findings.TABLES[group], [*header, "remark"], body, words=text)
 
 
 def show(value: Value, digits: int = 3) -> str:
@@ -276,7 +276,7 @@ def case_table(
         name = [entry.key, entry.text] if text else [entry.key]
         body.append([*name, *(of(e.get(group, entry.key, case.key)) for case in cases)])
     header = ["line", "what changes"] if text else ["controller"]
-    return markdown_table(title, [*header, *(case.title for case in cases)], body)
+    return markdown_table(title, [*header, *(c.title for c in cases)], body, words=header)
 
 
 def cell(row: Row | None) -> str:
@@ -301,9 +301,9 @@ def ablation(e: Evidence, pictures: Mapping[str, str]) -> Iterable[str]:
         "no matrix contains them: the sign of the yaw rate in the slip angle, and the heading "
         "error's rate without the curvature.",
         "alone": "The other slips are corrected in each line. Weights as above.",
-        "corrected": "Each line adds one part to the line above. Weights: down to `+ slip cap` "
-        "those set by hand for the plain formulation, from `+ weights` on those of `lpv-mpc`; that "
-        "line is the change of weights, and `+ terminal` is one of them too.",
+        "corrected": "Each line adds one part to the line above. Weights: above `+ weights` those "
+        "set by hand for the plain formulation, from there on those of `lpv-mpc`; that line is the "
+        "change of weights, and `+ terminal` is one of them too.",
         "without": "Each line takes one part from the full controller, with the weights of "
         "`lpv-mpc` but for the last line.",
     }
@@ -331,6 +331,8 @@ def tunings(e: Evidence, pictures: Mapping[str, str]) -> Iterable[str]:
     yield ("The cost is the paper's sum of the three RMSEs over the roads, plus a price for a "
            "nervous steering command; the last two columns are the worst lateral RMSE on these "
            "roads. Weights set by hand are among the first population.\n")  # fmt: skip
+    if "weights" not in e.anew:
+        yield "Each tuning has its own report: docs/results/tuning/CONTROLLER/tuning.md.\n"
     yield from _pictures(pictures, ["tuning"])
 
 
