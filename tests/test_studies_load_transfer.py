@@ -17,7 +17,7 @@ def params():
 
 @pytest.fixture(scope="module")
 def springs():
-    return Springs.documented()
+    return Springs.of(CarUnderTest.packaged().documented)
 
 
 def test_lateral_transfer_balances_the_moment_about_the_road(params):

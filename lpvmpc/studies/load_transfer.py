@@ -55,7 +55,7 @@ wheel lift.
 def run(car: CarUnderTest) -> StudyResult:
     """Lateral and longitudinal transfer, wheel lift and rollover."""
     result = StudyResult("load-transfer", METHOD)
-    springs = Springs.documented()
+    springs = Springs.of(car.documented)
     circles = _circles(car, result)
     straight = _straight(car, springs, result)
     ramp = rollover.pull_over(car)

@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import mujoco
 import numpy as np
 
 from lpvmpc import tire
-from lpvmpc.model import compile_model
 from lpvmpc.studies import plots
 from lpvmpc.studies.study import CarUnderTest, Limit, Series, StudyResult
 from lpvmpc.vehicle import GRAVITY, Array, Command, VehicleParams
@@ -33,9 +33,8 @@ class Springs:
     """Height of the wheel centres over the road, mean of the axles [m]."""
 
     @classmethod
-    def documented(cls) -> Springs:
-        """Those of models/vehicle.xml."""
-        model = compile_model(visual=False)
+    def of(cls, model: mujoco.MjModel) -> Springs:
+        """Those of a compiled car."""
         stiffness, heights = [], []
         for axle, coefficients in zip("fr", ("tire_f", "tire_r"), strict=True):
             KZ = float(model.numeric(coefficients).data[tire.KZ])
