@@ -33,7 +33,9 @@ class Options:
     The exit code is 0 when all figures are inside their limits, and 3 when one is not.
     """
 
-    studies: tyro.conf.Positional[tuple[str, ...]] = ()
+    studies: Annotated[
+        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[STUDY ...]")
+    ] = ()
     """Studies to run (default: all): tire, static, straight, steady-state, transient,
     lane-change, load-transfer, numerics, cross-model, wind."""
     jobs: int = 0

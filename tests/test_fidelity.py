@@ -75,3 +75,11 @@ def test_a_folder_that_cannot_be_written_is_one_sentence(run, tmp_path):
     code, _, err = run("tire", "--out", tmp_path / "file" / "below")
     assert code == 2
     assert err.startswith("Error: Cannot write into") and err.count("\n") == 1
+
+
+@pytest.mark.slow
+def test_two_processes_find_the_same_figures(run, tmp_path):
+    for jobs in (1, 2):
+        run("static", "tire", "--jobs", jobs, "--out", tmp_path / str(jobs))
+    one, two = ((tmp_path / str(jobs) / "fidelity.csv").read_bytes() for jobs in (1, 2))
+    assert one == two and one.index(b"tire,") < one.index(b"static,")  # the order of the report

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import csv
 import multiprocessing
+import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -61,14 +63,27 @@ def _results(
             yield conduct_one(name, folder, broken)
         return
     context = multiprocessing.get_context("spawn")  # a fork would copy compiled code's threads
-    with ProcessPoolExecutor(jobs, mp_context=context) as pool:
-        futures = [pool.submit(conduct_one, name, folder, broken) for name in names]
+    before = multiprocessing.active_children()
+    with ProcessPoolExecutor(jobs, mp_context=context, initializer=_leave_ctrl_c) as pool:
         try:
+            futures = [pool.submit(conduct_one, name, folder, broken) for name in names]
             for future in as_completed(futures):
                 yield future.result()
-        finally:
-            for future in futures:
-                future.cancel()
+        except BrokenProcessPool:
+            raise LPVMPCError(
+                "A process that ran a study was killed, perhaps for want of memory; "
+                "fewer --jobs need less."
+            ) from None
+        except BaseException:  # Ctrl-C, or a study's own error: what still runs is not wanted
+            for process in multiprocessing.active_children():
+                if process not in before:
+                    process.terminate()
+            raise
+
+
+def _leave_ctrl_c() -> None:
+    """Ctrl-C reaches all processes of a terminal; the parent alone says when to stop."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def conduct_one(name: str, folder: Path, broken: str | None = None) -> StudyResult:
