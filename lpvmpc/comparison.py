@@ -81,7 +81,7 @@ def summary(runs: Runs) -> tuple[Sequence[str], list[tuple[str, ...]]]:
     """Header and rows of what matters most, one row per run, for the width of a terminal."""
     header = ("controller", "lateral error\nRMSE / largest\n[mm]", "course\nRMSE\n[rad]",
               "speed\nRMSE\n[m/s]", "steering\nrate\n[deg/s]", "step\n\n[us]")  # fmt: skip
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for name, log in runs.items():
         n = metrics(log)
         lateral = _text(n["lateral_rmse_m"], 1e3, 2), _text(n["lateral_max_m"], 1e3, 2)
