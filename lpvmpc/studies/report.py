@@ -12,7 +12,7 @@ from typing import Any
 from lpvmpc.provenance import commit, machine, versions
 from lpvmpc.report import markdown_table
 from lpvmpc.studies.runner import cell, cells
-from lpvmpc.studies.study import Finding, StudyResult
+from lpvmpc.studies.study import TARGET, Finding, StudyResult
 
 FOREWORD = """\
 How far can this car be trusted? No measurement of a real car stands behind what follows. It is
@@ -129,9 +129,12 @@ def _reasons(findings: Sequence[Finding]) -> str:
     """Why the limits are what they are, figures with the same reason together."""
     reasons: dict[str, list[str]] = {}
     for finding in findings:
-        reasons.setdefault(finding.why, []).append(finding.figure)
+        if finding.why != TARGET:  # they have a table of their own
+            reasons.setdefault(finding.why, []).append(finding.figure)
     lines = ["Why these limits:", ""]
     lines += [f"- {'; '.join(figures)}: {why}." for why, figures in reasons.items()]
+    if any(finding.why == TARGET for finding in findings):
+        lines.append("- All others: handling targets, see above.")
     return "\n".join(lines)
 
 

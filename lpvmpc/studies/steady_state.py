@@ -12,7 +12,7 @@ import numpy as np
 from lpvmpc.errors import OptionError
 from lpvmpc.plant import Plant
 from lpvmpc.studies import plots
-from lpvmpc.studies.study import CarUnderTest, Limit, Picture, Series, StudyResult, Table
+from lpvmpc.studies.study import TARGET, CarUnderTest, Limit, Picture, Series, StudyResult, Table
 from lpvmpc.vehicle import GRAVITY, Array, VehicleParams
 
 METHOD = """\
@@ -260,7 +260,7 @@ def _understeer(result: StudyResult, plant: Plant, car: CarUnderTest, linear: Li
         gradient = deg_per_g(s.understeer(p.wheelbase) / s.ay)
         result.find(
             f"understeer over 1 m/s2, {vx:g} m/s", gradient, "deg/g", Limit.near(2.45, 0.25),
-            "handling target", target=True,
+            TARGET, target=True,
         )  # fmt: skip
 
 
@@ -277,9 +277,9 @@ def _yaw_gain(result: StudyResult, plant: Plant, linear: Linear) -> Array:
     for vx, target in ((10.0, 3.09), (15.0, 3.96), (20.0, 4.39)):
         s = steady(plant, vx, 1.0)
         result.find(f"yaw gain at {vx:g} m/s", s.r / s.delta, "1/s", Limit.percent(target, 4.0),
-                    "handling target", target=True)  # fmt: skip
+                    TARGET, target=True)  # fmt: skip
     result.find("speed of the highest yaw gain", fastest_turning_speed(plant), "m/s",
-                Limit.near(25.0, 1.5), "handling target", target=True)  # fmt: skip
+                Limit.near(25.0, 1.5), TARGET, target=True)  # fmt: skip
     speeds = np.arange(4.0, 41.0, 2.0)
     gain = [s.r / s.delta for s in (steady(plant, vx, 0.5) for vx in speeds)]
     result.series.append(Series("yaw-gain", {"vx_mps": speeds, "yaw_gain_1ps": gain}))
@@ -306,15 +306,15 @@ def _sideslip_and_roll(
     s = steady(plant, 20.0, 1.0)
     result.find(
         "rear slip gradient at 20 m/s", deg_per_g(s.rear_slip(p.lr) / s.ay), "deg/g",
-        Limit.near(-1.7, 0.1), "handling target", target=True,
+        Limit.near(-1.7, 0.1), TARGET, target=True,
     )  # fmt: skip
     front, rear = effective_stiffness(s, p)
     result.find("effective front stiffness, 20 m/s", 1e-3 * front, "kN/rad",
-                Limit.near(122.0, 6.0), "handling target", target=True)  # fmt: skip
+                Limit.near(122.0, 6.0), TARGET, target=True)  # fmt: skip
     result.find("effective rear stiffness, 20 m/s", 1e-3 * rear, "kN/rad",
-                Limit.near(229.0, 12.0), "handling target", target=True)  # fmt: skip
+                Limit.near(229.0, 12.0), TARGET, target=True)  # fmt: skip
     result.find("sideslip changes its sign at", sideslip_free_speed(plant), "m/s",
-                Limit.near(23.0, 1.0), "handling target", target=True)  # fmt: skip
+                Limit.near(23.0, 1.0), TARGET, target=True)  # fmt: skip
 
 
 def _limit(
@@ -326,7 +326,7 @@ def _limit(
         "the documented limit, by which speed profiles are planned",
     )  # fmt: skip
     result.find(
-        "the same over mu g", limit / (p.mu * GRAVITY), "", Limit.at_most(1.0),
+        "largest lateral acceleration over mu g", limit / (p.mu * GRAVITY), "", Limit.at_most(1.0),
         "friction bounds it; load transfer and drive take some",
     )  # fmt: skip
     left = [s for s in circle if s.ay > 0.0]

@@ -15,9 +15,10 @@ from lpvmpc.studies.study import CarUnderTest, Limit, Picture, Series, StudyResu
 from lpvmpc.vehicle import GRAVITY, Array, Command
 
 METHOD = """\
-- Coast-down (after ISO 10521-1): from 35 to 3 m/s without drive or brakes; the deceleration over
-  each 0.5 s, times the mass with the wheels' spin, is fitted by f0 + f1 v + f2 v^2. f0 must return
-  the rolling resistance m g c_roll, f2 half of air density times drag area, f1 nothing.
+- Coast-down (after ISO 10521-1 and EU 70/220): from 35 to 3 m/s without drive or brakes; the
+  deceleration over each 0.5 s, times the mass with the wheels' spin, is fitted by f0 + f1 v +
+  f2 v^2. f0 must return the rolling resistance m g c_roll, f2 half of air density times drag area,
+  f1 nothing.
 - Full acceleration from rest, with as much torque as the front tires take (90 % of the traction
   limit mu g lr / (L + mu h)), until the motor's power limits it. Expected: the integral of
   m_eff dv/dt = min(torque, power / v) - resistances, without slip. The published times of a real
@@ -132,7 +133,7 @@ def _coasting(result: StudyResult, car: CarUnderTest) -> None:
     times, speeds = coast_down(car.plant(Ts=0.01))
     v, force, (f0, f1, f2) = road_load(times, speeds, p.m_eff)
     rolling, drag = p.c_roll * p.m * GRAVITY, 0.5 * p.rho_air * p.CdA
-    why = "documented resistance; 2 % is what ISO 10521-1 asks of a coast-down"
+    why = "documented resistance; 2 % is the accuracy that EU 70/220 asks of a coast-down"
     result.find("rolling resistance f0", f0, "N", Limit.percent(rolling, 2.0), why)
     result.find("drag area, 2 f2 / air density", 2.0 * f2 / p.rho_air, "m2",
                 Limit.percent(p.CdA, 2.0), why)  # fmt: skip

@@ -42,6 +42,10 @@ STUDIES = {
 its name with underscores."""
 
 
+TARGET = "handling target"
+"""Reason of a limit that is a handling target of models/README.md as it stands."""
+
+
 @dataclass(frozen=True)
 class Limit:
     """What a figure must be: an interval, both ends allowed. A value that is NaN never passes."""

@@ -12,7 +12,7 @@ from lpvmpc import tire
 from lpvmpc.plant import Plant
 from lpvmpc.rollout import SPIN_QVEL
 from lpvmpc.studies import golden, plots
-from lpvmpc.studies.study import CarUnderTest, Limit, Picture, Series, StudyResult, Table
+from lpvmpc.studies.study import TARGET, CarUnderTest, Limit, Picture, Series, StudyResult, Table
 from lpvmpc.vehicle import GRAVITY, Array
 
 METHOD = """\
@@ -217,7 +217,7 @@ def _slopes(
         stiffness = 2.0 * tire.forces(tires[axle], 0.0, h, Fz, 1.0)[1] / h
         result.find(
             f"{axle} axle stiffness, static load", 1e-3 * stiffness, "kN/rad",
-            Limit.near(target, tolerance), "handling target", target=True,
+            Limit.near(target, tolerance), TARGET, target=True,
         )  # fmt: skip
 
 

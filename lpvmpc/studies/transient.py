@@ -19,7 +19,7 @@ from lpvmpc.studies.lateral_model import (
 )
 from lpvmpc.studies.lateral_model import response as linear_response
 from lpvmpc.studies.steady_state import Linear
-from lpvmpc.studies.study import CarUnderTest, Limit, Picture, Series, StudyResult, Table
+from lpvmpc.studies.study import TARGET, CarUnderTest, Limit, Picture, Series, StudyResult, Table
 from lpvmpc.vehicle import Array, Command
 
 METHOD = """\
@@ -274,7 +274,7 @@ def _steps(result: StudyResult, car: CarUnderTest) -> dict[float, Run]:
     rows, jumps = [], {}
     sharp = without_servo(car.plant(Ts=DT))
     soft = car.plant(Ts=DT)
-    why = "handling target"
+    why = TARGET
     for vx, t90 in ((12.0, 0.14), (15.0, 0.16), (20.0, 0.20), (100.0 / 3.6, None)):
         angle = STEP_AY * (p.wheelbase / vx**2 + 0.0044)
         jumps[vx] = step_steer(sharp, vx, angle)
@@ -312,7 +312,7 @@ def _phases(result: StudyResult, sines: dict[float, Sines]) -> None:
         response = sines[15.0].outputs[FREQUENCIES.index(frequency), 0]
         result.find(
             f"phase of yaw rate at {frequency:g} Hz, 15 m/s", math.degrees(np.angle(response)),
-            "deg", Limit.near(target, 6.0), "handling target", target=True,
+            "deg", Limit.near(target, 6.0), TARGET, target=True,
         )  # fmt: skip
 
 
