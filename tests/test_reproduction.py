@@ -262,8 +262,8 @@ def test_the_papers_claim_is_judged_whichever_way_it_falls(make, hand, verdict):
         return errors(entry, case)
 
     sentence = next(s for s in findings.sentences(make(of)) if s.startswith("The paper puts"))
-    assert f"(tuned and by hand), {verdict}; speed 5.00 and 5.00" in sentence
-    assert sentence.endswith("(tuned and by hand), confirmed.")
+    assert f"(tuned and by hand), paper 6.3, {verdict}; speed 5.00 and 5.00" in sentence
+    assert sentence.endswith("(tuned and by hand), paper 1.4, confirmed.")
 
 
 def test_what_the_printed_slips_do_is_told(make):
@@ -310,6 +310,8 @@ def test_the_report_holds_every_table_and_says_where_a_car_was_lost(make):
     for title in (*findings.TABLES.values(), *plan.GROUPS.values()):
         assert f"**{title}" in text, title
     assert "off at 123 m" in text
+    assert report.cell(SimpleNamespace(completed=False, result={
+        "reason": "spun: |epsi| > pi/2", "s_end_m": 12.3})) == "spun at 12 m"  # fmt: skip
     assert "![Fig. 8](paper/fig8-path.png)" in text
     assert "tuned on tuning-a, tuning-b, with the same budget" in text
     assert "No record of a tuning is here." in text

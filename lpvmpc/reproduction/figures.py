@@ -42,15 +42,15 @@ if TYPE_CHECKING:
 LOSSES = {"training": 0.196, "validation": 0.226}
 """Losses printed in the paper."""
 DASHED, DOTTED = (0, (4, 2)), (0, (1, 1.5))
-LINES = {OURS: (RUNS[0], "-", "LPV-MPC (ours)"), LMPC: (RUNS[1], "-", "LMPC with PSO-PID")}
-"""Colour, dash and name of the controllers."""
+LINES = {OURS: (RUNS[0], "LPV-MPC (ours)", 0.8), LMPC: (RUNS[1], "LMPC with PSO-PID", 1.6)}
+"""Colour, name and width of the controllers; ours is drawn over the baseline, and thinner."""
 CASES = {
     "paper": (BLUE, "o"), "paper-loop": (ORANGE, "s"), "double-lane-change": (GREEN, "^"),
     "circuit-0.5": (PINK, "v"), "circuit-0.87": (RED, "D"),
 }  # fmt: skip
 """Colour and marker of the ablation's roads."""
-TOP = 3e4
-"""Where lost cars are drawn [mm]."""
+LOST = 8.0
+"""Where lost cars are drawn, times the largest error of the others."""
 
 def save_all(e: Evidence, folder: Path) -> dict[str, Path]:
     """Draw and write every figure as PNG; those that nothing stands behind are left out.
@@ -104,9 +104,9 @@ def stiffness(e: Evidence) -> Figure:
     for i, axle in enumerate(("front", "rear")):
         along, against = grid[i]
         true = 1e-3 * s.true[:, i]
-        top = 1.15 * float(true.max())
+        low, top = 0.75 * float(true.min()), 1.1 * float(true.max())
         along.plot(s.t, true, color="black", lw=1.6, label="car", zorder=2)
-        ends = [0.0, top]
+        ends = [low, top]
         against.plot(ends, ends, color="black", lw=0.6, ls=DASHED)
         for kind, (name, colour) in names.items():
             said = 1e-3 * s.said[kind][:, i]
@@ -115,8 +115,8 @@ def stiffness(e: Evidence) -> Figure:
                          label=f"{name}, R² {s.r2(kind)[i]:.3f}")  # fmt: skip
         along.set_ylabel(f"{axle} [kN/rad]")
         along.set_xlim(float(s.t[0]), float(s.t[-1]))
-        along.set_ylim(0.0, top)
-        against.set(xlim=(0.0, top), ylim=(0.0, top), ylabel="predicted [kN/rad]")
+        along.set_ylim(low, top)
+        against.set(xlim=(low, top), ylim=(low, top), ylabel="predicted [kN/rad]")
         against.legend(loc="upper left", markerscale=5.0, handletextpad=0.2)
     grid[0, 0].set_title(f"Secant stiffness of the axles ({s.title})")
     grid[1, 0].set_xlabel("time [s]")
@@ -139,31 +139,31 @@ def speed_wind(e: Evidence) -> Figure:
     axes[0].plot(c["t_s"], c["wind_mps"], color=GREEN)
     axes[1].plot(c["t_s"], c["vx_ref_mps"], color="black", lw=0.8, ls=DASHED, label="reference",
                  zorder=4)  # fmt: skip
-    for log, (colour, dash, name) in _both(e):
+    for log, look in _both(e):
         own = log.columns
-        axes[1].plot(own["t_s"], own["vx_mps"], color=colour, ls=dash, label=name)
-        axes[2].plot(own["t_s"], own["vx_mps"] - own["vx_ref_mps"], color=colour, ls=dash)
+        axes[1].plot(own["t_s"], own["vx_mps"], **look)
+        axes[2].plot(own["t_s"], own["vx_mps"] - own["vx_ref_mps"], **look)
     _labels(axes, ("wind [m/s]", "speed [m/s]", "error [m/s]"))
-    _below(figure, axes[1], 2)
+    _below(figure, axes[1], 3)
     return figure
 
 
 @styled
 def path(e: Evidence) -> Figure:
     """The driven paths, with zooms where the baseline's error is told (Fig. 8)."""
-    runs = {name: log.columns for log, (_, _, name) in reversed(_both(e))}
-    return path_figure.draw(runs, "Path (paper)", focus=LINES[LMPC][2])
+    runs = {name: e.logs[key].columns for key, (_, name, _) in LINES.items()}
+    return path_figure.draw(runs, "Path (paper)", focus=LINES[LMPC][1])
 
 
 @styled
 def commands(e: Evidence) -> Figure:
     """Steering, acceleration and lateral velocity of both controllers (Fig. 9)."""
     figure, axes = _rows((1.0, 1.0, 1.0), 4.0, "Commands and lateral velocity (paper)")
-    for log, (colour, dash, name) in reversed(_both(e)):
+    for log, look in _both(e):
         c = log.columns
-        axes[0].plot(c["t_s"], np.rad2deg(c["delta_cmd_rad"]), color=colour, ls=dash, label=name)
-        axes[1].plot(c["t_s"], c["ax_cmd_mps2"], color=colour, ls=dash)
-        axes[2].plot(c["t_s"], c["vy_mps"], color=colour, ls=dash)
+        axes[0].plot(c["t_s"], np.rad2deg(c["delta_cmd_rad"]), **look)
+        axes[1].plot(c["t_s"], c["ax_cmd_mps2"], **look)
+        axes[2].plot(c["t_s"], c["vy_mps"], **look)
     _labels(axes, ("steering [deg]", "accel. [m/s²]", "lateral [m/s]"))
     _below(figure, axes[0], 2)
     return figure
@@ -192,12 +192,13 @@ def errors(e: Evidence) -> Figure:
         axes, kinds, strict=True
     ):
         low, high = np.inf, 0.0
-        for log, (colour, dash, _) in reversed(_both(e)):
+        for log, look in _both(e):
             t, error = log.columns["t_s"], scale * of(log.columns)
             own = float(np.sqrt(np.mean(np.square(error))))
-            signed.plot(t, error, color=colour, ls=dash, lw=0.9)
+            colour = look["color"]
+            signed.plot(t, error, **look)
             magnitude.semilogy(t, np.maximum(np.abs(error), 1e-9), color=colour, lw=0.4, alpha=0.5)
-            magnitude.axhline(own, color=colour, lw=1.4, label=f"RMSE {own:.3g}")
+            magnitude.axhline(own, color=colour, lw=look["lw"], label=f"RMSE {own:.3g}")
             low, high = min(low, 0.1 * own), max(high, peak(error))
         for value, dash2, what in ((rmse, DASHED, "paper RMSE"), (largest, DOTTED, "paper max")):
             if value is not None:
@@ -212,10 +213,7 @@ def errors(e: Evidence) -> Figure:
     for axis in axes[-1]:
         axis.set_xlabel("time [s]")
     figure.align_ylabels(axes)
-    from matplotlib.lines import Line2D
-
-    handles = [Line2D([], [], color=c, ls=d, label=name) for c, d, name in LINES.values()]
-    figure.legend(handles=handles, loc="outside lower center", ncols=2)
+    _below(figure, axes[0, 0], 2)
     return figure
 
 
@@ -228,10 +226,12 @@ def computation_time(e: Evidence) -> Figure:
     figure = blank(COLUMN, 2.7)
     axis = figure.subplots()
     axis.set_title("Computation time (paper)")
-    for values, colour, name in ((step, SKY, "control step"), (solve, BLUE, "QP solve")):
+    for values, light, dark, name in (
+        (step, SKY, BLUE, "control step"), (solve, "#F5CF80", ORANGE, "QP solve"),
+    ):  # fmt: skip
         own = 1e-3 * values
-        axis.plot(t, own, ".", ms=1.4, color=colour, rasterized=True)
-        axis.axhline(own.mean(), color=colour, lw=1.4, label=f"{name}, mean {own.mean():.2f} ms")
+        axis.plot(t, own, ".", ms=1.4, color=light, rasterized=True)
+        axis.axhline(own.mean(), color=dark, lw=1.4, label=f"{name}, mean {own.mean():.2g} ms")
     paper = 1e3 * PRINTED["solve_mean_s"]
     axis.axhline(paper, color=RED, lw=1.0, ls=DASHED, label=f"paper, mean {paper:.1f} ms")
     axis.axhline(period, color="black", lw=1.0, ls=DOTTED, label=f"period {period:.0f} ms")
@@ -257,6 +257,8 @@ def ablation(e: Evidence) -> Figure:
     axis = figure.subplots()
     axis.set_title("From the printed formulas to the full controller: lateral RMSE")
     place = np.arange(len(lines))
+    completed = [1e3 * row.rmse for _, rows in lines for row in rows if row.completed]
+    lost_at = LOST * max(completed, default=1.0)
     for case in e.cases("corrected"):
         colour, marker = CASES.get(case.key, (GREY, "o"))
         own = [next((r for r in rows if r.case.key == case.key), None) for _, rows in lines]
@@ -264,11 +266,11 @@ def ablation(e: Evidence) -> Figure:
         axis.plot(rmse, place, color=colour, marker=marker, ms=3.2, lw=0.8, label=case.title)
         shift = 0.12 * (list(CASES).index(case.key) - 2) if case.key in CASES else 0.0
         lost = [k for k, r in enumerate(own) if r is not None and not r.completed]
-        axis.plot([TOP * 10.0**shift] * len(lost), lost, "x", color=colour, ms=4.0, mew=1.2)
-    axis.axvspan(TOP / 2.2, TOP * 2.2, color="#F4F4F4", lw=0.0)
-    axis.text(TOP, -0.9, "lost", ha="center", va="bottom", fontsize=6.8)
+        axis.plot([lost_at * 10.0**shift] * len(lost), lost, "x", color=colour, ms=4.0, mew=1.2)
+    axis.axvspan(lost_at / 2.2, lost_at * 2.2, color="#F4F4F4", lw=0.0)
+    axis.text(lost_at, -0.9, "lost", ha="center", va="bottom", fontsize=6.8)
     axis.set_xscale("log")
-    axis.set_xlim(right=TOP * 2.2)
+    axis.set_xlim(right=lost_at * 2.2)
     axis.set_yticks(place, [name for name, _ in lines])
     axis.set_ylim(len(lines) - 0.5, -0.9)
     axis.set_xlabel("lateral RMSE [mm]")
@@ -288,6 +290,8 @@ def tuning(e: Evidence) -> Figure:
         best = np.minimum.accumulate([entry[2] for entry in one.history])
         axis.step(count, best, where="post", color=colour, lw=1.3, label=name)
     axis.set_yscale("log")
+    for which in (axis.yaxis.set_major_formatter, axis.yaxis.set_minor_formatter):
+        which("{x:g}")
     axis.set_xlim(0.0, 1.02 * max(one.budget for one in e.tunings.values()))
     axis.set(xlabel="evaluations", ylabel="cost")
     _below(figure, axis, 2)
@@ -313,9 +317,13 @@ FIGURES: dict[str, tuple[Callable[[Evidence], Figure], Callable[[Evidence], bool
 """All pictures by the names of their files, and whether anything stands behind them."""
 
 
-def _both(e: Evidence) -> list[tuple[Any, tuple[str, Any, str]]]:
+def _both(e: Evidence) -> list[tuple[Any, dict[str, Any]]]:
     """Log and look of the baseline, then of ours, which is drawn over it."""
-    return [(e.logs[name], LINES[name]) for name in (LMPC, OURS)]
+    found = []
+    for name in (LMPC, OURS):
+        colour, label, width = LINES[name]
+        found.append((e.logs[name], {"color": colour, "label": label, "lw": width}))
+    return found
 
 
 def _rows(ratios: tuple[float, ...], height: float, title: str) -> tuple[Figure, Any]:
@@ -334,6 +342,10 @@ def _labels(axes: Sequence[Axes], labels: Sequence[str]) -> None:
 
 
 def _below(figure: Figure, axis: Axes, columns: int) -> None:
-    """The legend of an axis below the figure."""
+    """The legend of an axis below the figure, ours before the baseline."""
     handles, labels = axis.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=columns)
+    order = sorted(range(len(labels)), key=lambda i: labels[i] == LINES[LMPC][1])
+    figure.legend(
+        [handles[i] for i in order], [labels[i] for i in order], loc="outside lower center",
+        ncols=columns,
+    )  # fmt: skip

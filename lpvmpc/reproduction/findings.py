@@ -49,6 +49,8 @@ class Number:
     """Ours at a third of the wind speed, as in the authors' code; None elsewhere."""
     remark: str = ""
     """What has to be known to compare them."""
+    digits: int = 3
+    """Digits that are shown."""
 
 
 TABLES = {
@@ -157,7 +159,7 @@ def _network(e: Evidence) -> Iterable[Number]:
         ("r2_runs_test", "R2, test, runs held out", None, score(theirs, "runs", "test"),
          "whole runs are new to the network"),
         ("loss_train", "loss, training", 0.196, last[1],
-         "ours: runs held out; paper's does not fit its R2, which says 0.12"),
+         "ours: runs held out; paper's is not 1 - R2, 0.12, as it should be"),
         ("loss_test", "loss, validation", 0.226, last[2], "ours: runs held out"),
         ("samples", "samples", 10752.0, float(theirs.samples) if theirs else None,
          "paper: CarSim; ours: the MuJoCo car"),
@@ -176,7 +178,7 @@ def _search(e: Evidence) -> Iterable[Number]:
     seeds = len(e.sphere.selections[0].seeds)
     for runs in e.sphere.selections:
         yield Number(
-            key=f"sphere_{runs.selection}", group="search", unit="",
+            key=f"sphere_{runs.selection}", group="search", digits=5,
             text=f"sphere function, {runs.selection}", paper=sphere.PAPER[runs.selection],
             ours=sphere.OPTIMUM + float(np.median(runs.final)),
             remark=f"optimum {sphere.OPTIMUM:g}; paper: one run, ours: median of {seeds}",
@@ -202,7 +204,7 @@ def _conditions(e: Evidence) -> Iterable[Number]:
         ("speed", "reference speed", "m/s", "5 to 21", "vx_ref_mps",
          "the loop of Fig. 8 would ask for 60 m/s2; the authors' signals do not"),
     ):
-        span = f"{c[column].min():.0f} to {c[column].max():.0f}"
+        span = f"{c[column].min():.3g} to {c[column].max():.3g}"
         yield Number(key=key, group="conditions", text=text, unit=unit, paper=paper, ours=span,
                      remark=remark)  # fmt: skip
     yield Number(key="friction", group="conditions", text="friction 0.82",
@@ -338,7 +340,7 @@ def _claim(e: Evidence) -> str | None:
         )  # fmt: skip
         shown = " and ".join(f"{value:.2f}" for value in known)
         how = " (tuned and by hand)" if len(known) == 2 else ""
-        parts.append(f"{name} {shown}{how}, {verdict}")
+        parts.append(f"{name} {shown}{how}, paper {PAPER_RATIO[key]:.1f}, {verdict}")
     return (
         "The paper puts its advantage over the baseline down to the more accurate model and the "
         "coupling. Its own controller, the plain formulation with its network, has just these; "

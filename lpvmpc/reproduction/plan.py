@@ -243,9 +243,9 @@ def _without(equipment: Equipment) -> Iterable[Entry]:
         ("- matrices", "A41 = sin(epsi), A45 = 0 as printed",
          equipment.options(OURS, formulation={"matrices": "printed"})),
         ("- terminal", "without: terminal cost", equipment.options(OURS, terminal=0.0)),
-        ("- network", "constant stiffness instead of the network",
+        ("- adaptation", "constant stiffness instead of the network",
          equipment.options(OURS, stiffness="constant")),
-        ("- ours", "the paper's network instead of ours",
+        ("- our network", "the paper's network instead of ours",
          equipment.options(OURS, stiffness="network-secant")),
         ("- weights", "weights set by hand", equipment.options(OURS, by_hand=True)),
     ):  # fmt: skip

@@ -28,15 +28,16 @@ Definitions:
 adaptive LPV-MPC controller. What we changed in its formulas and why: docs/derivations.md, D1. The \
 plants differ: the paper's is a MATLAB model, ours a MuJoCo multibody car with Pacejka tires.
 - Every run is one closed loop, which begins trimmed on the road at its first speed: true state \
-without noise or delay, control every 33 ms, wind on. Errors are those of the true centre of mass, \
+without noise or delay, control every 33 ms. Errors are those of the true centre of mass, \
 at every control instant from the first; an RMSE is the plain root of the mean square over all of \
 them. (The authors' script takes the root twice and divides by 252 of 2537 samples.)
 - Lateral: distance to the path. Heading: of the car, against the path's. Course: of its motion, \
 that is heading plus sideslip; in a side wind a car goes straight at an angle. Speed: against the \
 reference.
 - `paper` has the paper's reference signals and its full wind, with forces of up to 2.7 kN; \
-"wind / 3" is the strength in the authors' code, a ninth of the force. `circuit 87 %` is driven \
-with 87 % of the car's steady lateral limit.
+"wind / 3" is the strength in the authors' code, a ninth of the force. `paper-loop` has the shape \
+of the paper's Fig. 8 and its wind; the other roads have none. `circuit 87 %` is driven with 87 % \
+of the car's steady lateral limit.
 - A run is lost when the car is more than 5 m off the path, turned by more than 90 degrees, rolled \
 over, stuck, or needs twice the reference's time; tables say where. In means and ratios a lost run \
 is charged 5 m as its RMSE.
@@ -128,7 +129,7 @@ def head(e: Evidence) -> list[str]:
         f"Seeds: 0 for controllers (none of them draws) and tuning, {seeds[0]} to {seeds[-1]} for "
         "the sphere function.",
         f"The tables hold {len(e.rows)} runs, {e.driven} of them different; {e.kept} were kept "
-        f"from an earlier call, all the rest took {e.seconds / 60.0:.1f} minutes.",
+        f"from an earlier call, everything else took {e.seconds / 60.0:.1f} minutes.",
         weights_sentence(e),
     ]
 
@@ -185,11 +186,10 @@ def numbers_table(numbers: Sequence[Number], group: str) -> str:
     third = any(number.third is not None for number in own)
     header = ["quantity", "unit", "paper", "ours"]
     header += ["ours, wind / 3"] if third else []
-    digits = 5 if group == "search" else 3
     body = []
     for n in own:
         values = (n.paper, n.ours, n.third) if third else (n.paper, n.ours)
-        body.append([n.text, n.unit, *(show(value, digits) for value in values), n.remark])
+        body.append([n.text, n.unit, *(show(value, n.digits) for value in values), n.remark])
     text = ("unit", "remark")
     return markdown_table(findings.TABLES[group], [*header, "remark"], body, words=text)
 
@@ -287,7 +287,7 @@ def cell(row: Row | None) -> str:
         return f"{short(1e3 * row.rmse)} / {short(1e3 * row.largest)}"
     reason, s = str(row.result["reason"]), row.result["s_end_m"]
     kinds = {"off": "off", "spun": "spun", "rolled": "rolled", "stuck": "stuck", "too": "slow"}
-    kind = kinds.get(reason.partition(" ")[0], "failed")
+    kind = kinds.get(reason.partition(" ")[0].rstrip(":"), "failed")
     return kind if s is None else f"{kind} at {s:.0f} m"
 
 
