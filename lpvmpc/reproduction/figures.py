@@ -104,7 +104,7 @@ def stiffness(e: Evidence) -> Figure:
     for i, axle in enumerate(("front", "rear")):
         along, against = grid[i]
         true = 1e-3 * s.true[:, i]
-        low, top = 0.75 * float(true.min()), 1.1 * float(true.max())
+        low, top = 0.75 * float(true.min()), 1.2 * float(true.max())
         along.plot(s.t, true, color="black", lw=1.6, label="car", zorder=2)
         ends = [low, top]
         against.plot(ends, ends, color="black", lw=0.6, ls=DASHED)
