@@ -164,7 +164,7 @@ def _yaw_gain(car: CarUnderTest, result: StudyResult) -> None:
         rows.append((f"{vx:g}", gain, *(100.0 * x for x in off)))
     result.find(
         "yaw gain off linear model, to 2 m/s2", 100.0 * worst, "%", Limit.at_most(3.0),
-        "load transfer takes 1 % of an axle's stiffness at 2 m/s2, slip another",
+        "at 2 m/s2 load transfer takes 1 % and slip 2 % of an axle's stiffness",
     )  # fmt: skip
     header = ("speed m/s", "gain 1/s at 2 m/s2", *(f"% off at {ay:g}" for ay in GENTLE))
     caption = "Yaw gain of the simulation, and how far it is off the linear single track"
@@ -211,7 +211,7 @@ def _steady(car: CarUnderTest, result: StudyResult) -> tuple[Array, dict[str, Ar
     why = {
         LINEAR: "linear tires are taught to hold to 0.3 g",
         AXLES: "it has our tires and loads: only the limit of grip, 0.72 g, may tear it off",
-        MULTIBODY: "it saturates as ours does but knows no load transfer, which takes 5 % of an "
+        MULTIBODY: "it saturates as ours does but knows no load transfer, which takes 6 % of an "
         "axle's stiffness at 0.5 g",
     }
     table = []

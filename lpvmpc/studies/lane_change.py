@@ -60,8 +60,8 @@ in steps of {STRIDE:g} m/s up to the first touch and by bisection to {CLOSE:g} m
 *Upper bound*: the flattest path that touches all cones, at the peak friction of Table 2. *Lower
 limit* of part 2: three quarters of the steady limit on the path that is followed.
 
-**Valid** for this driver: another one may find a faster line. Cars of this class reach more on dry
-asphalt: friction is 0.82 here.
+**Valid** for this driver and for the friction of Table 2, 0.82: another driver may find a faster
+line.
 """
 
 

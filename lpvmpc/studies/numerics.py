@@ -165,8 +165,8 @@ def _convergence(car: CarUnderTest, result: StudyResult) -> None:
     )  # fmt: skip
     result.find(
         "integrators' limits apart", 1e3 * disagreement, "mm", Limit.at_most(0.1),
-        "they integrate the same equations; extrapolation leaves the second order, some "
-        "(0.1 ms)^2 of the first order's 1 ms",
+        "they integrate the same equations; extrapolation leaves a tenth of the error of the "
+        "finest step, at most 1 mm",
     )  # fmt: skip
     header = ("manoeuvre", "integrator", *(f"{1e3 * h:g} ms" for h in STEPS), "coarse", "fine")
     caption = "Largest position error [mm] in 2 s; order of the three coarsest and finest steps"
