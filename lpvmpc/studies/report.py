@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import textwrap
 from collections.abc import Sequence
 from datetime import date
 from typing import Any
@@ -69,9 +70,15 @@ def markdown(results: Sequence[StudyResult], folder: str, how: str, broken: str 
         lines += [f"**This is not the packaged car, but one broken on purpose: {broken}.**", ""]
     lines += [
         FOREWORD,
-        f"Machine: {machine()}. Versions: {used}; commit {commit() or 'unknown'};",
-        f"{date.today().isoformat()}. No study draws random numbers. Made by `{how}`;",
-        f"pictures, tables and curves (CSV) are in `{folder}/`, all figures in `{folder}.csv`.",
+        textwrap.fill(
+            f"Machine: {machine()}. Versions: {used}; commit {commit() or 'unknown'}; "
+            f"{date.today().isoformat()}. No study draws random numbers. Made by `{how}`; "
+            f"pictures, tables and curves (CSV) are in `{folder}/`, all figures in "
+            f"`{folder}.csv`.",
+            100,
+            break_long_words=False,
+            break_on_hyphens=False,
+        ),
         "",
         summary(results),
     ]
