@@ -137,7 +137,14 @@ def summary(rows: Sequence[Row], searches: Mapping[bool, Search]) -> str:
         "",
         *sentences(Table(rows), dict(searches)),
     ]
-    return "\n".join(part if "\n" in part else textwrap.fill(part, 80) for part in parts)
+    return "\n".join(part if "\n" in part else wrapped(part) for part in parts)
+
+
+def wrapped(sentence: str) -> str:
+    """A sentence in lines of 80 columns, numbers kept together with their unit."""
+    kept = re.sub(r"(?<=\d) (?=%|mm)", "\N{NO-BREAK SPACE}", sentence)
+    lines = textwrap.fill(kept, 80, break_on_hyphens=False)
+    return lines.replace("\N{NO-BREAK SPACE}", " ")
 
 
 class Progress:

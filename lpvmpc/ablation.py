@@ -58,7 +58,8 @@ ABOUT = {
     "network": "ours: force and local slope along the prediction, friction estimated online",
     "oracle-secant": "the plant's own force over slip angle, now",
     "oracle": "the plant's own tire law along the prediction, friction known",
-    "lpv-mpc-paper": "another controller, the paper's plain formulation, with nominal stiffness",
+    "lpv-mpc-paper": "another controller, the paper's plain formulation, with nominal stiffness "
+    "and weights of its own",
 }
 """What each model is, for the report."""
 
@@ -128,8 +129,8 @@ CASES = (
          scenario="double-lane-change"),
     Case(key="slalom", title="slalom", group="road", scenario="slalom"),
     Case(key="skidpad", title="skidpad", group="road", scenario="skidpad"),
-    _circuit("friction", "slippery-0.8", "0.5, 80 %", 0.8, options={"friction": 0.5}),
-    _circuit("friction", "slippery-0.92", "0.5, 92 %", 0.92, options={"friction": 0.5}),
+    _circuit("friction", "slippery-0.8", "friction 0.5 at 80 %", 0.8, options={"friction": 0.5}),
+    _circuit("friction", "slippery-0.92", "friction 0.5 at 92 %", 0.92, options={"friction": 0.5}),
     _circuit("friction", "drop", "drop to 0.75", 0.76, road=0.75),
     *(_circuit("friction", f"step-{s:.0f}", f"step at {s:.0f} m", 0.8, road=_slippery_from(s),
                options={"friction": 0.5}) for s in STEPS),

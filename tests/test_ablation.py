@@ -195,10 +195,12 @@ def told(rows):
 def test_sentences_say_what_good_numbers_say():
     text = told(made_up())
     assert "softer than the nominal one: x0.8 with the observer and x0.9" in text
-    assert "adapting the stiffness with the observer helps 4 times" in text
-    assert "No model lost the car in any of the 20 cases." in text
+    assert "the better constant with the observer helps 4 times (4.00 and 1.00 mm)" in text
+    assert "RMSE of network is smaller than the better constant's with the observer 4 times" in text
+    assert "No model lost the car." in text
     assert "better in 20, worse in 0, alike in 0 of 20 cases, median factor 2" in text
-    assert "(geometric mean): 2 times for constant-best, 2 times for network." in text
+    assert "2 times for network-secant, 2 times for network; it costs and saves no run." in text
+    assert "network from 1 to 1 mm" in text
     assert text.count("so the claim holds there") == 2
 
 
@@ -209,10 +211,30 @@ def test_sentences_turn_round_with_the_numbers():
     worse[("circuit-0.96", "network", True)] = result(1.0, lost_at=312.0)
     text = told(made_up(worse))
     assert "with the observer hurts 2.2 times" in text and "without it hurts 1.1 times" in text
-    assert "network with the observer: circuit 96 %; by no other model" in text
-    assert "0.0008 at 96 % (network lost)" in text
+    assert "The car was lost by network with the observer (circuit at 96 %)." in text
+    assert "0.0008 times (at 96 %) to 0.44 times" in text  # 4 mm against 5 m, and against 9 mm
+    assert "with it are lost 1 run more by network" in text
+    assert "network from 9 to 9 mm" in text
     assert text.count("so the claim does not hold there") == 2
     assert "better in 0, worse in 1, alike in 19 of 20" in text
+
+
+def test_the_better_of_the_two_constants_is_what_counts():
+    nominal = {("circuit-0.76", "constant", False): result(2.0),
+               ("paper", "constant", True): result(1.05)}  # fmt: skip
+    rows = made_up(nominal)
+    assert by_key(rows)["gain_over_constant"].value == pytest.approx(2.0)
+    assert "with the observer changes nothing that matters (1.05 and 1.00 mm)" in told(rows)
+    assert Table(rows).gain("circuit-0.76", "network", False) == pytest.approx(1.0)
+    assert Table(rows).gain("circuit-0.76", "network", True) == pytest.approx(4.0)
+
+
+def test_what_the_observer_costs_and_saves_is_told():
+    lost = {("drop", "constant", True): result(1.0, lost_at=9.0),
+            ("drop", "network", False): result(1.0, lost_at=9.0),
+            ("paper", "network", False): result(1.0, lost_at=9.0)}  # fmt: skip
+    text = told(made_up(lost))
+    assert "lost 1 run more by constant, 2 runs fewer by network." in text
 
 
 def test_a_small_difference_is_none():
