@@ -404,6 +404,24 @@ def test_a_training_is_read_from_its_files(tmp_path):
         records.read_training("network", tmp_path)
 
 
+@pytest.mark.slow  # 12 s of driving and training; what it uses is tested beside it
+def test_a_training_anew_is_kept_and_drives(tmp_path):
+    from lpvmpc import load_controller
+
+    told = []
+    options = {"samples": 2560, "epochs": 2}  # two runs of each kind of manoeuvre at the least
+    files = anew.train(tmp_path, 1, lambda *what: told.append(what[0]), **options)
+    assert {"collecting stiffness", "training network", "training network-secant"} <= set(told)
+    made = {kind: file.read_bytes() for kind, file in files.items()}
+    told.clear()
+    assert anew.train(tmp_path, 1, lambda *what: told.append(what[0]), **options) == files
+    assert not told and made == {kind: file.read_bytes() for kind, file in files.items()}
+    for kind, file in files.items():
+        assert records.read_training(kind, file.with_suffix("")).samples == 2560
+    car = load_controller(OURS, **evidence.equip(None, files).options(OURS))
+    assert car.stiffness.name == "network"
+
+
 def test_what_is_published_is_found_beside_the_package(root):
     assert records.published() == root / "docs" / "results"
     for kind in ("network", "network-secant"):
