@@ -164,7 +164,10 @@ def drive(run: Run) -> Log:
 
 def scenario_of(run: Run) -> Scenario:
     """What a run drives, its unannounced friction included."""
-    scenario = _scenario(run.scenario, json.dumps(dict(run.scenario_options), sort_keys=True))
+    track = Path(run.scenario)
+    written = track.stat().st_mtime_ns if run.scenario.endswith(".csv") and track.exists() else 0
+    options = json.dumps(dict(run.scenario_options), sort_keys=True)
+    scenario = _scenario(run.scenario, options, written)
     if run.road == 1.0:
         return scenario
     announced = 1.0 if scenario.friction is None else scenario.friction(0.0)
@@ -176,7 +179,8 @@ def scenario_of(run: Run) -> Scenario:
 
 
 @lru_cache(maxsize=16)  # planning a speed takes as long as driving a tenth of the road
-def _scenario(name: str, options: str) -> Scenario:
+def _scenario(name: str, options: str, written: int) -> Scenario:
+    """A scenario; `written` is the time of the track file, which may be edited meanwhile."""
     return load_scenario(name, **json.loads(options))
 
 

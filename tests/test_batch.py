@@ -162,6 +162,12 @@ def test_unannounced_friction_multiplies_what_is_announced(road):
     assert batch.scenario_of(at(road, 10.0)).friction is None
 
 
+def test_an_edited_track_is_read_again(road, tmp_path):
+    before = batch.scenario_of(at(road, 10.0)).path.length
+    write_road(tmp_path / "bend.csv", y=0.01)
+    assert batch.scenario_of(at(road, 10.0)).path.length > before + 1.0
+
+
 def test_modules_that_are_said_to_be_unused_are_not_used(road, tmp_path):
     """Else an edit of theirs would leave wrong results valid."""
     write_road(tmp_path / "bend.csv")
