@@ -5,9 +5,7 @@ Without this the report stands on the weights, networks and tuning reports that 
 
 from __future__ import annotations
 
-import hashlib
 import json
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -177,8 +175,3 @@ def _trained(
     tensors.write(out, trained.weights[0].arrays, facts)
     options["checkpoint"].unlink(missing_ok=True)
     return out
-
-
-def sha256(file: str | os.PathLike[str]) -> str:
-    """First digits of a file's hash, for the report."""
-    return hashlib.sha256(Path(file).read_bytes()).hexdigest()[:12]
