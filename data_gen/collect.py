@@ -9,7 +9,6 @@ interrupted or killed goes on with --resume. Exit codes: 0 done; 2 bad input, on
 
 from __future__ import annotations
 
-import os
 import sys
 import time
 from dataclasses import dataclass
@@ -55,7 +54,7 @@ def main(options: Options) -> int:
 
     plan = collection.Plan(samples=options.samples, seed=options.seed, friction=friction, mass=mass)
     cli.writable_folder(options.out.parent)
-    jobs = options.jobs or cores()
+    jobs = options.jobs or cli.cores()
     start = time.perf_counter()
     try:
         with Progress(options.samples) as progress:
@@ -86,11 +85,6 @@ def pair(name: str, values: tuple[float, ...]) -> tuple[float, float]:
     if len(values) not in (1, 2):
         raise OptionError(name, values, "one number, or the lowest and the highest")
     return values[0], values[-1]
-
-
-def cores() -> int:
-    """Number of cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class Progress:

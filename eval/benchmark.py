@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from lpvmpc import cli
-from lpvmpc.errors import LPVMPCError, OutputError
+from lpvmpc.errors import LPVMPCError
 from lpvmpc.log import write_json
 
 if TYPE_CHECKING:
@@ -76,8 +76,8 @@ def main(options: Options) -> int:
         return cli.INTERRUPTED
     text = ablation_report.report(rows, searches, quick=quick, jobs=jobs, picture=f"{NAME}.png")
     print(summary(rows, searches))
-    write(out / f"{NAME}.md", text)
-    write(out / f"{NAME}.csv", ablation_report.as_csv(rows))
+    cli.write_text(out / f"{NAME}.md", text)
+    cli.write_text(out / f"{NAME}.csv", ablation_report.as_csv(rows))
     values = ablation_report.as_json(rows, searches, quick=quick, jobs=jobs)
     for file in (out / f"{NAME}.json", options.json):
         if file is not None:
@@ -185,15 +185,6 @@ class Progress:
     def __exit__(self, *error: object) -> None:
         if self.bar is not None:
             self.bar.stop()
-
-
-def write(file: Path, text: str) -> None:
-    """Write a text file."""
-    try:
-        file.write_text(text)
-    except OSError as error:
-        why = error.strerror or str(error)
-        raise OutputError(f"Cannot write {str(file)!r}: {why}.") from error
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ limits; 2 bad input; 3 some figure is outside; 130 interrupted.
 
 from __future__ import annotations
 
-import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from lpvmpc import cli
-from lpvmpc.errors import OutputError, UnknownNameError
+from lpvmpc.errors import UnknownNameError
 from lpvmpc.log import write_json
 
 if TYPE_CHECKING:
@@ -73,15 +72,15 @@ def main(options: Options) -> int:
         names,
         out / "fidelity",
         broken=options.broken,
-        jobs=options.jobs or cores(),
+        jobs=options.jobs or cli.cores(),
         progress=say,
     )
     print(report.table(results), end="")
     how = " ".join(["python eval/fidelity.py", *options.studies])
     if options.broken is not None:
         how += f" --broken {options.broken}"
-    write(out / "fidelity.md", report.markdown(results, "fidelity", how, options.broken))
-    write(out / "fidelity.csv", report.as_csv(results))
+    cli.write_text(out / "fidelity.md", report.markdown(results, "fidelity", how, options.broken))
+    cli.write_text(out / "fidelity.csv", report.as_csv(results))
     if options.json is not None:
         write_json(options.json, report.as_json(results))
     count = sum(len(result.findings) for result in results)
@@ -91,24 +90,10 @@ def main(options: Options) -> int:
     return cli.NOT_COMPLETED if bad else cli.DONE
 
 
-def cores() -> int:
-    """Number of cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def say(result: StudyResult) -> None:
     """One line on a terminal for each study that is done."""
     if sys.stderr.isatty():
         print(f"{result.study} took {result.seconds:.0f} s of CPU time", file=sys.stderr)
-
-
-def write(file: Path, text: str) -> None:
-    """Write a text file."""
-    try:
-        file.write_text(text)
-    except OSError as error:
-        why = error.strerror or str(error)
-        raise OutputError(f"Cannot write {str(file)!r}: {why}.") from error
 
 
 if __name__ == "__main__":

@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from lpvmpc import cli
-from lpvmpc.errors import OutputError
 from lpvmpc.log import write_json
 
 if TYPE_CHECKING:
@@ -76,10 +75,10 @@ def main(options: Options) -> int:
         print("Interrupted; the same command goes on from here.", file=sys.stderr)
         return cli.INTERRUPTED
     found = replace(found, seconds=time.perf_counter() - start)
-    write(out / f"{NAME}.md", report.report(
+    cli.write_text(out / f"{NAME}.md", report.report(
         found, {name: f"{NAME}/{file.name}" for name, file in pictures.items()}
     ))  # fmt: skip
-    write(out / f"{NAME}.csv", report.as_csv(found))
+    cli.write_text(out / f"{NAME}.csv", report.as_csv(found))
     values = report.as_json(found)
     for file in (out / f"{NAME}.json", options.json):
         if file is not None:
@@ -163,15 +162,6 @@ class Progress:
     def __exit__(self, *error: object) -> None:
         if self.bar is not None:
             self.bar.stop()
-
-
-def write(file: Path, text: str) -> None:
-    """Write a text file."""
-    try:
-        file.write_text(text)
-    except OSError as error:
-        why = error.strerror or str(error)
-        raise OutputError(f"Cannot write {str(file)!r}: {why}.") from error
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from lpvmpc import cli
-from lpvmpc.errors import OutputError, RenderError
+from lpvmpc.errors import RenderError
 from lpvmpc.log import write_json
 from lpvmpc.provenance import commit, machine, versions
 from lpvmpc.report import markdown_table
@@ -79,8 +79,8 @@ def main(options: Options) -> int:
     load = meanwhile.describe()
     text = report(sections, rounds, load)
     print(text, end="")
-    write(out / "speed.md", text)
-    write(out / "speed.csv", as_csv(figures))
+    cli.write_text(out / "speed.md", text)
+    cli.write_text(out / "speed.csv", as_csv(figures))
     for file in (out / "speed.json", options.json):
         if file is not None:
             write_json(file, as_json(figures, rounds, load))
@@ -193,15 +193,6 @@ def as_json(figures: list[Figure], rounds: int, load: str) -> dict[str, Any]:
             "commit": commit(),
         },
     }
-
-
-def write(file: Path, text: str) -> None:
-    """Write a text file."""
-    try:
-        file.write_text(text)
-    except OSError as error:
-        why = error.strerror or str(error)
-        raise OutputError(f"Cannot write {str(file)!r}: {why}.") from error
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ interrupted (--resume goes on from there).
 
 from __future__ import annotations
 
-import os
 import sys
 import time
 from dataclasses import dataclass, fields, replace
@@ -90,7 +89,7 @@ def tune(options: Options) -> int:
     out = cli.writable_folder(options.out or Path("runs") / f"tune-{options.controller}")
     if options.json is not None:
         cli.writable_folder(options.json.parent)
-    jobs = options.jobs or cores()
+    jobs = options.jobs or cli.cores()
     print(f"Tuning {task.controller} on {', '.join(task.scenarios)}: "
           f"at most {task.budget} evaluations, {jobs} jobs, seed {task.seed}.")  # fmt: skip
     try:
@@ -116,11 +115,6 @@ def tune(options: Options) -> int:
     print_result(tuned, before, after)
     print(f"Saved {out}/ ({', '.join(file.name for file in files)})")
     return cli.DONE
-
-
-def cores() -> int:
-    """Number of cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class Table:

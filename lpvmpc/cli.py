@@ -82,6 +82,19 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def write_text(file: Path, text: str) -> None:
+    """Write a text file.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    try:
+        file.write_text(text)
+    except OSError as error:
+        why = error.strerror or str(error)
+        raise OutputError(f"Cannot write {str(file)!r}: {why}.") from error
+
+
 def check_opengl() -> None:
     """Ignore a MUJOCO_GL whose library is not there, and say so, before MuJoCo is imported.
 
