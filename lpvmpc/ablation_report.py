@@ -116,7 +116,7 @@ def report(
 
 def weights() -> str:
     """The weights that the controller ships with."""
-    from lpvmpc.mpc import Weights
+    from lpvmpc.formulation import Weights
     from lpvmpc.weights_file import shipped
 
     used = asdict(shipped("lpv-mpc", Weights()))

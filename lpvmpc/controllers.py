@@ -26,7 +26,7 @@ from lpvmpc.vehicle import Command, State
 if TYPE_CHECKING:
     import numpy as np
 
-    from lpvmpc.mpc import Formulation
+    from lpvmpc.formulation import Formulation
     from lpvmpc.path import Preview
 
 
@@ -52,13 +52,15 @@ STIFFNESS_MODELS = {
 
 
 def _lpv_mpc(**options: Any) -> Controller:
-    from lpvmpc.mpc import LPVMPC, Formulation
+    from lpvmpc.formulation import Formulation
+    from lpvmpc.mpc import LPVMPC
 
     return LPVMPC(**_with_formulation(_with_stiffness(options), Formulation()))
 
 
 def _lpv_mpc_paper(**options: Any) -> Controller:
-    from lpvmpc.mpc import LPVMPC, PAPER, PAPER_WEIGHTS
+    from lpvmpc.formulation import PAPER, PAPER_WEIGHTS
+    from lpvmpc.mpc import LPVMPC
     from lpvmpc.weights_file import chosen
 
     options["stiffness"] = options.get("stiffness") or "constant"

@@ -30,7 +30,7 @@ in side wind, where little slip says little about friction."""
 
 
 @njit(cache=True)
-def _update(estimate, covariance, missing, offsets, levers, Ts):
+def _update(estimate, covariance, mass, unmodelled, offsets, levers, used, Ts):
     """One step of the Kalman filter on (friction scale, side force), in place.
 
     Measured are the missing lateral force and yaw moment,
@@ -43,8 +43,8 @@ def _update(estimate, covariance, missing, offsets, levers, Ts):
     estimate[0] += (1.0 - estimate[0]) * Ts / MEMORY
     covariance[0, 0] += DRIFT_FRICTION**2 * Ts
     covariance[1, 1] += DRIFT_FORCE**2 * Ts
-    error0 = missing[0] - estimate[1]
-    error1 = missing[1] - levers[2] * estimate[1]
+    error0 = mass[0] * unmodelled[0] - estimate[1]
+    error1 = mass[1] * unmodelled[1] - levers[2] * estimate[1]
     # S = H P H' + R and its inverse, 2 by 2
     PH = np.zeros((2, 2))
     for i in range(2):
@@ -66,7 +66,7 @@ def _update(estimate, covariance, missing, offsets, levers, Ts):
             new[i, j] = covariance[i, j] - k0 * PH[j, 0] - k1 * PH[j, 1]
     covariance[:, :] = 0.5 * (new + new.T)
     covariance[0, 0] = min(covariance[0, 0], 0.25)  # unseen for long, it is still not arbitrary
-    estimate[0] = min(max(estimate[0], FRICTION_MIN), FRICTION_MAX)
+    estimate[0] = min(max(estimate[0], FRICTION_MIN, SURE * used), FRICTION_MAX)
 
 
 class FrictionObserver:
@@ -106,7 +106,6 @@ class FrictionObserver:
                 low would confirm itself.
         """
         _update(
-            self._estimate, self._covariance, self._mass * unmodelled, offsets, self._levers,
-            self._Ts,
+            self._estimate, self._covariance, self._mass, unmodelled, offsets, self._levers,
+            used, self._Ts,
         )  # fmt: skip
-        self._estimate[0] = min(max(self._estimate[0], SURE * used), FRICTION_MAX)

@@ -19,17 +19,15 @@ import numpy as np
 from numba import njit
 
 from lpvmpc.errors import OptionError
-from lpvmpc.mpc import (
-    BRAKING,
+from lpvmpc.formulation import (
     DELTA_MAX_PAPER,
     DELTA_STEP_PAPER,
     EY_MAX,
-    NOT_FINITE,
     SCALE,
     SLACK_WEIGHTS,
     UNITS,
-    Diagnostics,
 )
+from lpvmpc.mpc import BRAKING, NOT_FINITE, Diagnostics
 from lpvmpc.path import Preview
 from lpvmpc.pid import PIDGains, SpeedPID
 from lpvmpc.qp import QPSolver, condense, n_rows
@@ -46,7 +44,10 @@ STEER_SCALE = SCALE[:1].copy()
 
 @dataclass(frozen=True, kw_only=True)
 class LMPCWeights(PIDGains):
-    """Everything of `LMPC` that is tuned. Costs are per second and normalised by `mpc.UNITS`."""
+    """Everything of `LMPC` that is tuned.
+
+    Costs are per second and normalised by `formulation.UNITS`.
+    """
 
     RANGES: ClassVar[dict[str, tuple[float, float]]] = {
         "q_vy": (0.01, 10.0),

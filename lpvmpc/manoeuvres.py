@@ -293,7 +293,8 @@ def _controller(name: str) -> Controller:
 
     So the data change neither when the controllers are tuned nor when a network is trained.
     """
-    from lpvmpc.mpc import LPVMPC, PAPER, PAPER_WEIGHTS, Formulation, Weights
+    from lpvmpc.formulation import PAPER, PAPER_WEIGHTS, Formulation, Weights
+    from lpvmpc.mpc import LPVMPC
     from lpvmpc.stiffness import ConstantStiffness
 
     stiffness = ConstantStiffness(VehicleParams.load())

@@ -284,14 +284,14 @@ def longitudinal(a, vx, delta, ay, car, m_eff, brake_front, inertia):
 
 
 @njit(cache=True)
-def along(x, Ts, friction, car, m_eff, brake_front, inertia, norm, net, z, tires):
+def along(x, Ts, friction, constants, m_eff, brake_front, inertia, norm, net, z, tires):
     """Affine axle forces in the middle of each interval of a prediction, in place.
 
     Args:
         x: Prediction (vx, vy, r, ey, epsi, delta, a, alpha_f, alpha_r, phi, p), shape (N + 1, 11).
         Ts: Period [s].
         friction: Scale of the road's peak friction, front and rear, shape (2,).
-        car: `Bicycle` constants.
+        constants: `Bicycle` as an array, shape (17,).
         m_eff: See `longitudinal`, also for brake_front, inertia.
         brake_front: As above.
         inertia: As above.
@@ -304,6 +304,7 @@ def along(x, Ts, friction, car, m_eff, brake_front, inertia, norm, net, z, tires
         Number of clamped inputs.
     """
     clamped = 0
+    car = bicycle.unpack(constants)
     for k in range(tires.shape[0]):
         vx = max(0.5 * (x[k, VX] + x[k + 1, VX]), car.vx_min)
         vy, r = 0.5 * (x[k, VY] + x[k + 1, VY]), 0.5 * (x[k, R] + x[k + 1, R])
@@ -370,7 +371,6 @@ class NetworkTire:
         car: VehicleParams,
         weights: Weights | None = None,
         *,
-        formulation_bicycle: bicycle.Bicycle | None = None,
         Ts: float = 0.033,
     ) -> None:
         """Build the model.
@@ -378,7 +378,6 @@ class NetworkTire:
         Args:
             car: Vehicle parameters.
             weights: Trained weights (default: the packaged ones).
-            formulation_bicycle: Constants of the controller's model (default: the full one).
             Ts: Control period [s].
         """
         weights = load_weights("network") if weights is None else weights
@@ -392,7 +391,7 @@ class NetworkTire:
         self.norm = normalisation(car)
         self.friction = np.ones(2)
         """Scale of the road's peak friction that is assumed, front and rear."""
-        self.car = bicycle.Bicycle.of(car) if formulation_bicycle is None else formulation_bicycle
+        self._constants = np.array(bicycle.Bicycle.of(car))
         self.Ts = Ts
         self._spin = (car.m_eff, car.brake_front, 2.0 * car.J_w / car.R_w**2)
         self._z = np.zeros(N_EVEN)
@@ -407,7 +406,7 @@ class NetworkTire:
     def horizon(self, state: State, prediction: Array, tires: Array) -> None:
         """See `stiffness.StiffnessModel.horizon`."""
         self.clamped += along(
-            prediction, self.Ts, self.friction, self.car, *self._spin, self.norm, self.net,
+            prediction, self.Ts, self.friction, self._constants, *self._spin, self.norm, self.net,
             self._z, tires,
         )  # fmt: skip
 

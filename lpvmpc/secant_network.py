@@ -69,10 +69,11 @@ def secant(x, net, h, g, out):
 
 @njit(cache=True)
 def secant_along(
-    x, Ts, car, m_eff, brake_front, inertia, net, sample, h, g, pair, tires
+    x, Ts, constants, m_eff, brake_front, inertia, net, sample, h, g, pair, tires
 ):  # fmt: skip
     """Secant stiffness in the middle of each interval of a prediction, in place; see `along`."""
     clamped = 0
+    car = bicycle.unpack(constants)
     for k in range(tires.shape[0]):
         vx = max(0.5 * (x[k, VX] + x[k + 1, VX]), car.vx_min)
         r, delta = 0.5 * (x[k, R] + x[k + 1, R]), 0.5 * (x[k, DELTA] + x[k + 1, DELTA])
@@ -96,7 +97,6 @@ class SecantNetwork:
         car: VehicleParams,
         weights: Weights | None = None,
         *,
-        formulation_bicycle: bicycle.Bicycle | None = None,
         Ts: float = 0.033,
     ) -> None:
         """Args: as of `NetworkTire`."""
@@ -105,7 +105,7 @@ class SecantNetwork:
             raise OptionError("weights", weights.kind, "weights of a 'network-secant'")
         self.weights = weights
         self.net = packed(weights, car)
-        self.car = bicycle.Bicycle.of(car) if formulation_bicycle is None else formulation_bicycle
+        self._constants = np.array(bicycle.Bicycle.of(car))
         self.Ts = Ts
         self._spin = (car.m_eff, car.brake_front, 2.0 * car.J_w / car.R_w**2)
         widest = max(SECANT_SIZES)
@@ -120,7 +120,7 @@ class SecantNetwork:
     def horizon(self, state: State, prediction: Array, tires: Array) -> None:
         """See `stiffness.StiffnessModel.horizon`."""
         self.clamped += secant_along(
-            prediction, self.Ts, self.car, *self._spin, self.net, *self._scratch, tires
+            prediction, self.Ts, self._constants, *self._spin, self.net, *self._scratch, tires
         )
 
     def sample(

@@ -51,23 +51,26 @@ def cost_to_go(car: Bicycle, tires: Array, q: Array, r_du: Array, Ts: float) -> 
     by the last input since increments are weighted.
     """
     from scipy.linalg import solve_discrete_are  # 0.1 s to import, needed once
+    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
     table = np.zeros((len(SPEEDS), NZ, NZ))
     A_, B_, c_ = np.empty((NX, NX)), np.empty((NX, NU)), np.empty(NX)
     used = [i for i in range(NX) if _used(car, i)]
-    for n, vx in enumerate(SPEEDS):
-        x = np.zeros(NX)
-        x[VX] = vx
-        lpv(x, 0.0, tires, car, CORRECTED, A_, B_, c_)
-        Ad, Bd, _ = discretise(A_, B_, c_, Ts)
-        Ad, Bd = Ad[np.ix_(used, used)], Bd[used]
-        size = len(used)
-        step = np.block([[Ad, Bd], [np.zeros((NU, size)), np.eye(NU)]])
-        push = np.vstack([Bd, np.eye(NU)])
-        stage = np.diag(np.append(q[used], np.zeros(NU)))
-        cost = solve_discrete_are(step, push, stage, np.diag(r_du)) - stage
-        where = used + list(range(NX, NZ))
-        table[n][np.ix_(where, where)] = 0.5 * (cost + cost.T)
+    # with several threads BLAS rounds otherwise, and every command of a run would show it
+    with threadpool_limits(1, user_api="blas"):
+        for n, vx in enumerate(SPEEDS):
+            x = np.zeros(NX)
+            x[VX] = vx
+            lpv(x, 0.0, tires, car, CORRECTED, A_, B_, c_)
+            Ad, Bd, _ = discretise(A_, B_, c_, Ts)
+            Ad, Bd = Ad[np.ix_(used, used)], Bd[used]
+            size = len(used)
+            step = np.block([[Ad, Bd], [np.zeros((NU, size)), np.eye(NU)]])
+            push = np.vstack([Bd, np.eye(NU)])
+            stage = np.diag(np.append(q[used], np.zeros(NU)))
+            cost = solve_discrete_are(step, push, stage, np.diag(r_du)) - stage
+            where = used + list(range(NX, NZ))
+            table[n][np.ix_(where, where)] = 0.5 * (cost + cost.T)
     return table
 
 

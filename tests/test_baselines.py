@@ -20,9 +20,10 @@ from lpvmpc.bicycle import NU as FULL_NU
 from lpvmpc.bicycle import NX as FULL_NX
 from lpvmpc.controllers import CONTROLLERS, load_controller
 from lpvmpc.errors import OptionError
+from lpvmpc.formulation import UNITS
 from lpvmpc.geometric import pursuit_angle, stanley_angle
 from lpvmpc.lmpc import lateral
-from lpvmpc.mpc import BRAKING, UNITS
+from lpvmpc.mpc import BRAKING
 from lpvmpc.path import Path as Road
 from lpvmpc.qp import QPResult
 from lpvmpc.speed_profile import SpeedProfile

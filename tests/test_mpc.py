@@ -6,17 +6,8 @@ import pytest
 from lpvmpc import weights_file
 from lpvmpc.bicycle import DELTA, NX, Bicycle, derivative
 from lpvmpc.errors import OptionError
-from lpvmpc.mpc import (
-    BRAKING,
-    EY_MAX,
-    LPVMPC,
-    PAPER,
-    PAPER_WEIGHTS,
-    RELEASE,
-    SLIP_RATIO,
-    Formulation,
-    Weights,
-)
+from lpvmpc.formulation import EY_MAX, PAPER, PAPER_WEIGHTS, Formulation, Weights
+from lpvmpc.mpc import BRAKING, LPVMPC
 from lpvmpc.path import Preview
 from lpvmpc.qp import QPResult
 from lpvmpc.stiffness import ConstantStiffness
@@ -253,23 +244,9 @@ def spinning(slip, vx=10.0):
     return State(0.0, 0.0, 0.0, vx, 0.0, 0.0, 0.0, 2.0, 0.0, wheels)
 
 
-def test_a_spinning_wheel_takes_the_drive_back_and_a_rolling_one_gives_it_again(car):
-    controller = linear_tires(car)
-    most = car.ax_max(10.0)
-    assert controller._hold_traction(spinning(0.9 * SLIP_RATIO), 2.0, most) == most
-    held = controller._hold_traction(spinning(2.0 * SLIP_RATIO), 2.0, most)
-    assert held == pytest.approx(1.0), "half the drive at twice the slip"
-    again = controller._hold_traction(spinning(0.0), 1.0, most)
-    assert again == pytest.approx(1.0 + RELEASE * TS)
-    controller.reset(np.random.default_rng(0))
-    assert controller._hold_traction(spinning(0.0), 1.0, most) == most
-
-
 def test_the_command_obeys_traction_control(car):
     fast = preview_of(start(10.0), 0.0, 14.0)  # 4 m/s too slow: all the drive there is
-    free, held = (
-        linear_tires(car, formulation=Formulation(traction=on)) for on in (False, True)
-    )
+    free, held = (linear_tires(car, formulation=Formulation(traction=on)) for on in (False, True))
     for _ in range(10):
         asked = [c.command(spinning(0.2), fast).ax for c in (free, held)]
     assert asked[0] > 2.0 > 1.0 > asked[1] > -0.5

@@ -145,7 +145,7 @@ def test_without_slips_the_printed_controller_is_the_plain_one_and_signs_lose_th
 
 
 def printed_weights():
-    from lpvmpc.mpc import PAPER_WEIGHTS
+    from lpvmpc.formulation import PAPER_WEIGHTS
     from lpvmpc.weights_file import as_dict
 
     return as_dict(PAPER_WEIGHTS)
@@ -173,7 +173,7 @@ def test_each_line_of_the_chains_changes_one_thing():
         a, b = dict(before.options), dict(after.options)
         old, new = a.pop("formulation", {}), b.pop("formulation", {})
         if before.controller != after.controller:  # all parts are there: the weights change
-            from lpvmpc.mpc import PAPER, Formulation
+            from lpvmpc.formulation import PAPER, Formulation
 
             assert after.key == "+ weights"
             assert replace(PAPER, **old) == Formulation()

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 from lpvmpc.bicycle import CORRECTED, EPSI, EY, NU, NX, VX, Bicycle, discretise, lpv
 from lpvmpc.terminal import NZ, SPEEDS, cost_to_go
@@ -59,3 +60,13 @@ def test_the_weight_is_symmetric_positive_and_smooth_over_speed(params):
         values = np.linalg.eigvalsh(P)
         assert values.min() > -1e-9 * values.max()
     assert (np.abs(np.diff(table[:, EPSI, EPSI])) < 0.6 * table[:-1, EPSI, EPSI]).all()
+
+
+def test_the_weight_has_the_same_bytes_for_any_number_of_threads(params):
+    """Workers of a batch are given fewer than a process alone; else their runs would differ."""
+    arguments = Bicycle.of(params), np.array([params.Cf, 0.0, params.Cr, 0.0]), Q, R, TS
+    found = set()
+    for threads in (1, 2, 4):
+        with threadpool_limits(threads, user_api="blas"):
+            found.add(cost_to_go(*arguments).tobytes())
+    assert len(found) == 1

@@ -8,7 +8,7 @@ import pytest
 from lpvmpc import batch, tuning, tuning_report, weights_file
 from lpvmpc.controllers import CONTROLLERS
 from lpvmpc.errors import DataError, LPVMPCError, OptionError, UnknownNameError
-from lpvmpc.mpc import Weights
+from lpvmpc.formulation import Weights
 from lpvmpc.tuning import NERVOUS, Space, Task, stages, tune
 
 TASK = Task(controller="stanley", generations=4, population=6, scenarios=("tuning-b",))

@@ -6,7 +6,7 @@ import pytest
 from lpvmpc import weights_file
 from lpvmpc.controllers import CONTROLLERS, load_controller
 from lpvmpc.errors import DataError, OptionError, OutputError
-from lpvmpc.mpc import PAPER_WEIGHTS, Weights
+from lpvmpc.formulation import PAPER_WEIGHTS, Weights
 
 
 def test_what_is_written_is_read_to_the_last_bit(tmp_path):

@@ -1,7 +1,7 @@
 """The paper's controller with its formulas as printed, slip by slip.
 
-`Printed` is the plain formulation (`mpc.PAPER`) with some of the printed slips put back. A class
-with named slips has a name, so that a closed loop can be described by it:
+`Printed` is the plain formulation (`formulation.PAPER`) with some of the printed slips put back. A
+class with named slips has a name, so that a closed loop can be described by it:
 
     lpvmpc.reproduction.printed:Printed_signs_drag
 
@@ -17,11 +17,12 @@ from typing import ClassVar
 import numpy as np
 from numba import njit
 
-from lpvmpc import mpc
 from lpvmpc.bicycle import CORRECTED, DELTA, EPSI, EY, NU, NX, PRINTED, VX, VY, A, R, lpv, unpack
 from lpvmpc.errors import LPVMPCError
-from lpvmpc.mpc import EY_MAX, LPVMPC, PAPER, PAPER_WEIGHTS, SCALE, SLACK_WEIGHTS
+from lpvmpc.formulation import EY_MAX, PAPER, PAPER_WEIGHTS, SCALE, SLACK_WEIGHTS
+from lpvmpc.mpc import LPVMPC
 from lpvmpc.path import Preview
+from lpvmpc.prediction import bounds
 from lpvmpc.qp import condense
 from lpvmpc.vehicle import GRAVITY, Array, State, VehicleParams
 
@@ -98,7 +99,7 @@ def _period(
         x_ref[k, VX] = vx_ref[k + 1]
     if slips[TERMINAL]:
         x_ref[-1, VX] = 0.0
-    mpc._bounds(schedule, u_prev, du_max, delta_max, np.pi, car, drive, u_lo, u_hi)
+    bounds(schedule, u_prev, du_max, delta_max, np.pi, car, drive, u_lo, u_hi)
     if slips[BOUNDS]:
         u_lo[:, 1], u_hi[:, 1] = -AX_MAX, AX_MAX
     condense(
