@@ -302,7 +302,8 @@ def _open(path: Path) -> Any:
     if not path.is_file():
         raise DataError(f"There is no data file {str(path)!r}; data_gen/collect.py makes one.")
     try:
-        return pq.ParquetFile(path)
+        # by default pyarrow keeps all of a file that it reads in batches
+        return pq.ParquetFile(path, pre_buffer=False)
     except (pa.ArrowException, OSError) as error:
         raise DataError(f"{str(path)!r} is damaged or no Parquet file: {_first(error)}.") from error
 

@@ -164,6 +164,25 @@ def test_an_empty_file_is_refused(write, columns):
         dataset.read(write({name: values[:0] for name, values in columns.items()}))
 
 
+def test_batches_of_a_large_file_take_no_more_memory_than_of_a_small_one(tmp_path, columns):
+    peaks = []
+    for groups in (4, 40):
+        file = tmp_path / f"{groups}.parquet"
+        fields = dataset.schema().with_metadata(dataset.metadata({"seed": 1}))
+        arrays = [np.resize(columns[name], 2000) for name in COLUMNS]
+        table = pa.table([pa.array(values) for values in arrays], schema=fields)
+        with pq.ParquetWriter(file, fields) as writer:
+            for _ in range(groups):
+                writer.write_table(table)
+        before, peak, rows = pa.total_allocated_bytes(), 0, 0
+        for batch in dataset.batches(file, rows=1000):
+            rows += len(batch["vx_mps"])
+            peak = max(peak, pa.total_allocated_bytes() - before)
+        assert rows == 2000 * groups
+        peaks.append(peak)
+    assert peaks[1] < 1.5 * peaks[0]
+
+
 # The car ----------------------------------------------------------------------------------------
 
 
