@@ -8,10 +8,12 @@ force. A Kalman filter tells a change of friction from side wind by the yaw mome
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
 
-from lpvmpc.vehicle import Array, VehicleParams
+from lpvmpc.vehicle import GRAVITY, Array, VehicleParams
 
 FRICTION_MIN, FRICTION_MAX = 0.2, 1.2
 """Range of the estimated friction scale [-]."""
@@ -30,21 +32,22 @@ in side wind, where little slip says little about friction."""
 
 
 @njit(cache=True)
-def _update(estimate, covariance, mass, unmodelled, offsets, levers, used, Ts):
+def _update(estimate, covariance, unmodelled, offsets, a, ay, constants, Ts):
     """One step of the Kalman filter on (friction scale, side force), in place.
 
     Measured are the missing lateral force and yaw moment,
     (m d_vy, Iz d_r) = H (mu - mu_hat, W),
     H = [[Sf + Sr, 1], [lever_f Sf - lever_r Sr, x_cy]],   S = F0 / mu_hat.
     """
+    m, Iz, lever_f, lever_r, x_cy, lr, h, wheelbase, m_eff, brake_front, mu = constants
     Sf, Sr = offsets[0] / estimate[0], offsets[1] / estimate[0]
-    H = np.array([[Sf + Sr, 1.0], [levers[0] * Sf - levers[1] * Sr, levers[2]]])
+    H = np.array([[Sf + Sr, 1.0], [lever_f * Sf - lever_r * Sr, x_cy]])
     # where nothing is learned the estimate returns to a dry road
     estimate[0] += (1.0 - estimate[0]) * Ts / MEMORY
     covariance[0, 0] += DRIFT_FRICTION**2 * Ts
     covariance[1, 1] += DRIFT_FORCE**2 * Ts
-    error0 = mass[0] * unmodelled[0] - estimate[1]
-    error1 = mass[1] * unmodelled[1] - levers[2] * estimate[1]
+    error0 = m * unmodelled[0] - estimate[1]
+    error1 = Iz * unmodelled[1] - x_cy * estimate[1]
     # S = H P H' + R and its inverse, 2 by 2
     PH = np.zeros((2, 2))
     for i in range(2):
@@ -66,6 +69,11 @@ def _update(estimate, covariance, mass, unmodelled, offsets, levers, used, Ts):
             new[i, j] = covariance[i, j] - k0 * PH[j, 0] - k1 * PH[j, 1]
     covariance[:, :] = 0.5 * (new + new.T)
     covariance[0, 0] = min(covariance[0, 0], 0.25)  # unseen for long, it is still not arbitrary
+    # What the car uses is there: a front axle that drives hard leaves its tangent little slope, and
+    # an estimate that is too low would confirm itself.
+    load = m * (GRAVITY * lr - a * h) / wheelbase
+    Fx = m_eff * a * (1.0 if a > 0.0 else brake_front)
+    used = math.hypot(Fx / load, ay / GRAVITY) / mu
     estimate[0] = min(max(estimate[0], FRICTION_MIN, SURE * used), FRICTION_MAX)
 
 
@@ -74,8 +82,9 @@ class FrictionObserver:
 
     def __init__(self, car: VehicleParams, Ts: float) -> None:
         """Args: the car, and the control period [s]."""
-        self._mass = np.array([car.m, car.Iz])
-        self._levers = np.array([car.lf - car.trail_f, car.lr + car.trail_r, car.x_cy])
+        levers = car.lf - car.trail_f, car.lr + car.trail_r, car.x_cy
+        use = car.lr, car.h, car.wheelbase, car.m_eff, car.brake_front, car.mu
+        self._constants = (float(car.m), float(car.Iz), *map(float, levers), *map(float, use))
         self._Ts = Ts
         self.reset()
 
@@ -94,18 +103,17 @@ class FrictionObserver:
         """Estimated force that no tire explains [N], left positive."""
         return float(self._estimate[1])
 
-    def update(self, unmodelled: Array, offsets: Array, used: float = 0.0) -> None:
+    def update(self, unmodelled: Array, offsets: Array, a: float = 0.0, ay: float = 0.0) -> None:
         """Learn from one period.
 
         Args:
             unmodelled: Acceleration of (vy, r) that the tire model without observer left
                 unexplained [m/s2, rad/s2], shape (2,).
             offsets: Offsets F0 of the tangents at the front and rear axle [N], shape (2,).
-            used: Friction scale that the car is known to use [-], a lower bound: a front axle
-                that drives hard leaves its tangent little slope, and an estimate that is too
-                low would confirm itself.
+            a: Drive or brake acceleration [m/s2]; with `ay`, what the car is known to use.
+            ay: Lateral acceleration [m/s2].
         """
         _update(
-            self._estimate, self._covariance, self._mass, unmodelled, offsets, self._levers,
-            used, self._Ts,
+            self._estimate, self._covariance, unmodelled, offsets, a, ay, self._constants,
+            self._Ts,
         )  # fmt: skip

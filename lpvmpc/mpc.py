@@ -45,7 +45,7 @@ from lpvmpc.formulation import (
     Weights,
 )
 from lpvmpc.path import Preview
-from lpvmpc.prediction import accept, advance, compare, period, shift
+from lpvmpc.prediction import accept, advance, compare, period, shift, thin
 from lpvmpc.qp import QPResult, QPSolver, n_rows
 from lpvmpc.stiffness import NetworkStiffness, StiffnessModel
 from lpvmpc.terminal import SPEEDS, cost_to_go
@@ -179,7 +179,9 @@ class LPVMPC:
             fallback = self._fall_back()
         u = self._plan[0]
         command = Command(float(u[0]), float(u[1]))
-        shift(self._plan, self._prediction, self._schedule, self._queue, x0)
+        shift(
+            self._plan, self._prediction, self._schedule, self._knots, self._queue, x0
+        )  # fmt: skip
         self.diagnostics = Diagnostics(
             result.solved,
             fallback,
@@ -215,7 +217,7 @@ class LPVMPC:
         else:
             self._observe(x, kappa, state.ay)
         self._blind = False
-        self._x_last[:] = x
+        self._x_last: Array = x
         self._kappa_last = kappa
         return self._over_delay(x, preview.kappa)
 
@@ -225,7 +227,7 @@ class LPVMPC:
         x[AF], x[AR] = slip_angles(max(x[VX], car.vx_min), x[VY], x[R], x[DELTA], car)
         schedule[:] = x
         schedule[:, VX] = np.maximum(preview.vx_ref[: self.Np + 1], car.vx_min)
-        self._knots[:] = schedule[:: self.formulation.span]
+        thin(schedule, self._knots)
         self.stiffness.horizon(state, self._knots, tires)
         if car.K_phi > 0.0:
             x[PHI] = car.m * car.h * state.ay / car.K_phi
@@ -240,6 +242,7 @@ class LPVMPC:
         self._queue[:] = u
         self._plan[:] = u
         schedule[:, A] = x[A]
+        thin(schedule, self._knots)
         self._started = True
 
     def _observe(self, x: Array, kappa: float, ay: float) -> None:
@@ -266,8 +269,7 @@ class LPVMPC:
     def _build(self, x0: Array, state: State, preview: Preview) -> None:
         """Adapt, discretise, and write the QP."""
         d = self.delay
-        self._schedule[0] = x0
-        self._knots[:] = self._schedule[:: self.formulation.span]
+        self._schedule[0] = self._knots[0] = x0
         self.stiffness.horizon(state, self._knots, self._tires)
         friction = getattr(self.stiffness, "friction", 1.0)
         drive = self._drive
@@ -322,7 +324,6 @@ class LPVMPC:
         self._prediction: Array = np.zeros((N + 1, NX))
         self._plan: Array = np.zeros((N, NU))
         self._queue: Array = np.zeros((self.delay + 1, NU))
-        self._x_last: Array = np.zeros(NX)
         self._predicted: Array = np.zeros(NX)
         self._inner: Array = np.zeros(NX - A)  # not measured: a, slip, roll
         self._unmodelled: Array = np.zeros(2)

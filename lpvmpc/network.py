@@ -290,7 +290,7 @@ def along(x, Ts, friction, constants, m_eff, brake_front, inertia, norm, net, z,
     Args:
         x: Prediction (vx, vy, r, ey, epsi, delta, a, alpha_f, alpha_r, phi, p), shape (N + 1, 11).
         Ts: Period [s].
-        friction: Scale of the road's peak friction, front and rear, shape (2,).
+        friction: Scale of the road's peak friction.
         constants: `Bicycle` as an array, shape (17,).
         m_eff: See `longitudinal`, also for brake_front, inertia.
         brake_front: As above.
@@ -322,10 +322,10 @@ def along(x, Ts, friction, constants, m_eff, brake_front, inertia, norm, net, z,
             sway = 0.5 * car.h * (x[k, P] + x[k + 1, P]) if car.K_phi > 0.0 else 0.0
             alpha_f = delta - math.atan2(vy + sway + car.lf * r, vx)
             alpha_r = -math.atan2(vy + sway - car.lr * r, vx)
-        Fy, C, n = axle_force(0, alpha_f, Fxf, ax, roll, friction[0], norm, net, z)
+        Fy, C, n = axle_force(0, alpha_f, Fxf, ax, roll, friction, norm, net, z)
         tires[k, 0], tires[k, 1] = C, Fy - C * alpha_f
         clamped += n
-        Fy, C, n = axle_force(1, alpha_r, Fxr, ax, roll, friction[1], norm, net, z)
+        Fy, C, n = axle_force(1, alpha_r, Fxr, ax, roll, friction, norm, net, z)
         tires[k, 2], tires[k, 3] = C, Fy - C * alpha_r
         clamped += n
     return clamped
@@ -389,8 +389,8 @@ class NetworkTire:
         self.net: tuple[Array, ...] = tuple(w[name] for name in names)
         """Arrays u, V, b, w, z_low, z_high, slip_max; the first axis is the axle."""
         self.norm = normalisation(car)
-        self.friction = np.ones(2)
-        """Scale of the road's peak friction that is assumed, front and rear."""
+        self.friction = 1.0
+        """Scale of the road's peak friction that is assumed."""
         self._constants = np.array(bicycle.Bicycle.of(car))
         self.Ts = Ts
         self._spin = (car.m_eff, car.brake_front, 2.0 * car.J_w / car.R_w**2)
@@ -401,7 +401,7 @@ class NetworkTire:
         """Forget the run so far."""
         self.clamped = 0
         """Number of inputs that lay outside the trained range since the last reset."""
-        self.friction[:] = 1.0
+        self.friction = 1.0
 
     def horizon(self, state: State, prediction: Array, tires: Array) -> None:
         """See `stiffness.StiffnessModel.horizon`."""

@@ -218,7 +218,7 @@ def compare(
 
 
 @njit(cache=True)
-def shift(plan, prediction, schedule, queue, x0):
+def shift(plan, prediction, schedule, knots, queue, x0):
     """Make this period's plan and prediction the next one's fallback and schedule, in place."""
     for i in range(len(queue) - 1):
         queue[i] = queue[i + 1]
@@ -229,3 +229,12 @@ def shift(plan, prediction, schedule, queue, x0):
         if k + 1 < len(plan):
             plan[k] = plan[k + 1]
     schedule[-1] = prediction[-1]
+    thin(schedule, knots)
+
+
+@njit(cache=True)
+def thin(schedule, knots):
+    """The schedule at the ends of the intervals that share one frozen model, in place."""
+    span = (len(schedule) - 1) // (len(knots) - 1)
+    for i in range(len(knots)):
+        knots[i] = schedule[i * span]

@@ -6,7 +6,6 @@ Fy = C alpha + F0 around the predicted slip. The paper's secant stiffness has F0
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -16,7 +15,7 @@ from lpvmpc.axle import Axle, axles, tangent
 from lpvmpc.bicycle import AF, AR, PHI, A
 from lpvmpc.errors import OptionError
 from lpvmpc.friction import FrictionObserver
-from lpvmpc.vehicle import GRAVITY, Array, AxleForces, State, VehicleParams
+from lpvmpc.vehicle import Array, AxleForces, State, VehicleParams
 
 if TYPE_CHECKING:
     from lpvmpc.network import Weights as NetworkWeights
@@ -162,15 +161,11 @@ class NetworkStiffness:
             a: Drive or brake acceleration [m/s2].
             ay: Lateral acceleration [m/s2].
         """
-        car = self.car
-        load = car.m * (GRAVITY * car.lr - a * car.h) / car.wheelbase
-        Fx = car.m_eff * a * (1.0 if a > 0.0 else car.brake_front)
-        used = math.hypot(Fx / load, ay / GRAVITY) / car.mu
-        self._road.update(unmodelled, offsets, used)
+        self._road.update(unmodelled, offsets, a, ay)
 
     def horizon(self, state: State, prediction: Array, tires: Array) -> None:
         """See `StiffnessModel.horizon`."""
-        self.tire.friction[:] = self._road.friction
+        self.tire.friction = self._road.friction
         self.tire.horizon(state, prediction, tires)
 
 

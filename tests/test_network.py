@@ -205,11 +205,11 @@ def test_the_assumed_friction_softens_the_tangents(tire, prediction):
     dry, wet = np.zeros((10, 4)), np.zeros((10, 4))
     tire.reset()
     tire.horizon(None, prediction, dry)
-    tire.friction[:] = 0.5
+    tire.friction = 0.5
     tire.horizon(None, prediction, wet)
     tire.reset()
     assert np.all(wet[:, [0, 2]] < dry[:, [0, 2]])
-    assert tire.friction.tolist() == [1.0, 1.0]
+    assert tire.friction == 1.0
 
 
 def test_the_papers_network_gives_secants(secant, car, prediction):

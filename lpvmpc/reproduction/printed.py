@@ -127,8 +127,7 @@ class Printed(LPVMPC):
 
     def _build(self, x0: Array, state: State, preview: Preview) -> None:
         """Write the QP."""
-        self._schedule[0] = x0
-        self._knots[:] = self._schedule
+        self._schedule[0] = self._knots[0] = x0
         self.stiffness.horizon(state, self._knots, self._tires)
         _period(
             self._schedule, preview.kappa, preview.vx_ref, self._tires, self._queue[-1],
