@@ -115,7 +115,8 @@ def facts(options: Options, kind: str, data: Dataset, rows: list[dict[str, Any]]
     from lpvmpc.provenance import versions
 
     kept = {row["set"]: [round(row["C_f"], 4), round(row["C_r"], 4)] for row in rows[:2]}
-    given = " ".join(shlex.quote(word) for word in sys.argv[1:])
+    # without --resume: a training that was interrupted leaves the same bytes
+    given = " ".join(shlex.quote(word) for word in sys.argv[1:] if word != "--resume")
     return {
         "format": FORMAT,
         "kind": kind,

@@ -242,6 +242,17 @@ def test_the_script_leaves_weights_and_a_report(run, file, tmp_path):
     assert not list((tmp_path / "w").glob("*.checkpoint"))
 
 
+def test_a_resumed_training_leaves_the_same_bytes(run, file, tmp_path, monkeypatch):
+    words = ["--data", str(file), "--epochs", "1", "--seeds", "1", "--out", "n.safetensors"]
+    left = []
+    for more in ([], ["--resume"]):
+        monkeypatch.setattr(sys, "argv", ["train.py", *words, *more])
+        assert run(*words, *more)[0] == 0
+        left.append((tmp_path / "n.safetensors").read_bytes())
+    assert left[0] == left[1]
+    assert b"--epochs 1 --seeds 1 --out n.safetensors" in left[0]
+
+
 def test_data_of_another_car_are_a_warning(run, file, tmp_path):
     data = dataset.read(file)
     import pyarrow.parquet as pq
