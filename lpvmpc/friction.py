@@ -41,7 +41,9 @@ def _update(estimate, covariance, unmodelled, offsets, a, ay, constants, Ts):
     """
     m, Iz, lever_f, lever_r, x_cy, lr, h, wheelbase, m_eff, brake_front, mu = constants
     Sf, Sr = offsets[0] / estimate[0], offsets[1] / estimate[0]
-    H = np.array([[Sf + Sr, 1.0], [lever_f * Sf - lever_r * Sr, x_cy]])
+    H = np.empty((2, 2))
+    H[0, 0], H[0, 1] = Sf + Sr, 1.0
+    H[1, 0], H[1, 1] = lever_f * Sf - lever_r * Sr, x_cy
     # where nothing is learned the estimate returns to a dry road
     estimate[0] += (1.0 - estimate[0]) * Ts / MEMORY
     covariance[0, 0] += DRIFT_FRICTION**2 * Ts
@@ -67,7 +69,9 @@ def _update(estimate, covariance, unmodelled, offsets, a, ay, constants, Ts):
         k1 = (PH[i, 1] * s00 - PH[i, 0] * s01) / det
         for j in range(2):
             new[i, j] = covariance[i, j] - k0 * PH[j, 0] - k1 * PH[j, 1]
-    covariance[:, :] = 0.5 * (new + new.T)
+    for i in range(2):
+        for j in range(2):
+            covariance[i, j] = 0.5 * (new[i, j] + new[j, i])
     covariance[0, 0] = min(covariance[0, 0], 0.25)  # unseen for long, it is still not arbitrary
     # What the car uses is there: a front axle that drives hard leaves its tangent little slope, and
     # an estimate that is too low would confirm itself.

@@ -159,7 +159,10 @@ def advance(x, x_next, kappas, tires, disturbance, u, constants, form, method, T
     car = unpack(constants)
     A_, B_, c_ = np.empty((NX, NX)), np.empty((NX, NU)), np.empty(NX)
     Ad, rate, held = np.empty((NX, NX)), np.zeros((NX, NU + 1)), np.empty((NX, NU + 1))
-    lpv(0.5 * (x + x_next), 0.5 * (kappas[0] + kappas[1]), tires, car, form, A_, B_, c_)
+    where = np.empty(NX)
+    for i in range(NX):
+        where[i] = 0.5 * (x[i] + x_next[i])
+    lpv(where, 0.5 * (kappas[0] + kappas[1]), tires, car, form, A_, B_, c_)
     for i in range(NX):
         rate[i, 0] = B_[i, 0] * u[0] + B_[i, 1] * u[1] + c_[i]
         if i < 3:

@@ -208,17 +208,18 @@ def kkt_residual(H, g, C, lo, hi, z, y):
         The residual [-]; NaN if anything in z or y is.
     """
     n, m = g.shape[0], lo.shape[0]
-    dual = g + H @ z + y @ C
-    values = C @ z
-    size = 1.0 + np.abs(g).max()
-    worst = 0.0
+    Hz, yC, values = H @ z, y @ C, C @ z
+    size, worst = 0.0, 0.0
+    for a in range(n):
+        size = max(size, abs(g[a]))
+    size += 1.0
     for i in range(m):
         violation = max(lo[i] - values[i], values[i] - hi[i])
         gap = hi[i] - values[i] if y[i] > 0.0 else values[i] - lo[i]
         worst = _larger(worst, violation)
         worst = _larger(worst, abs(y[i]) * min(1.0, abs(gap)) / size)
     for a in range(n):
-        worst = _larger(worst, abs(dual[a]) / size)
+        worst = _larger(worst, abs(g[a] + Hz[a] + yC[a]) / size)
     return worst
 
 
