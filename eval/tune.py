@@ -23,7 +23,7 @@ from lpvmpc.errors import OptionError
 from lpvmpc.log import write_json
 
 if TYPE_CHECKING:
-    from lpvmpc.search import State
+    from lpvmpc.search_state import State
     from lpvmpc.tuning import Stage, Tuned
 
 Count = Annotated[int | None, tyro.conf.arg(metavar="INT")]

@@ -145,15 +145,9 @@ QUICK = ("circuit-0.76", "circuit-0.92", "double-lane-change", "drop")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row:
-    """One cell of the tables: a case driven by a model."""
+class Measured:
+    """What a closed loop has shown."""
 
-    case: Case
-    """What was driven."""
-    model: Model
-    """Who drove."""
-    observer: bool
-    """Whether with the disturbance observer."""
     result: Mapping[str, Any]
     """Its metrics."""
 
@@ -171,6 +165,18 @@ class Row:
     def largest(self) -> float:
         """Largest lateral error [m]; `CHARGE` where the car was lost."""
         return charge(self.result, "lateral_max_m")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row(Measured):
+    """One cell of the tables: a case driven by a model."""
+
+    case: Case
+    """What was driven."""
+    model: Model
+    """Who drove."""
+    observer: bool
+    """Whether with the disturbance observer."""
 
 
 def charge(result: Mapping[str, Any], key: str) -> float:

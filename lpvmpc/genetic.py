@@ -33,28 +33,25 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from dataclasses import replace as replaced
-from typing import Any, Literal, get_args
+from functools import partial
+from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from lpvmpc.errors import UnknownNameError
 from lpvmpc.search import (
-    Array,
     Cost,
     Map,
-    Result,
-    State,
+    Search,
     check_bounds,
     check_count,
     check_real,
-    check_start,
     evaluate,
-    first_population,
-    frozen,
     record_of,
     summary,
 )
+from lpvmpc.search_state import Array, Result, State, frozen
 
 Selection = Literal["mixed", "roulette", "tournament"]
 Crossover = Literal["blend", "exchange"]
@@ -153,49 +150,11 @@ def minimise(
     if selection not in get_args(Selection):
         raise UnknownNameError("selection", selection, get_args(Selection))
     record = record_of(settings, selection=selection, seed=seed)
-    if state is None:
-        state = _begin(cost, low, high, settings, record, map, start)
-        if after is not None:
-            after(state)
-    else:
-        state.check_same(METHOD, record, low, high)
-    while state.generation < settings.generations:
-        state = _advance(cost, settings, selection, map, state)
-        if after is not None:
-            after(state)
-    return state.result()
+    search = Search(method=METHOD, settings=record, cost=cost, lower=low, upper=high, map=map)
+    return search.run(partial(_advance, search, settings, selection), state, after, start=start)
 
 
-def _begin(
-    cost: Cost,
-    lower: Array,
-    upper: Array,
-    settings: Settings,
-    record: dict[str, Any],
-    map: Map,
-    start: npt.ArrayLike | None,
-) -> State:
-    """Draw and evaluate the first population."""
-    rng = np.random.default_rng(record["seed"])
-    given = check_start(start, lower, upper, settings.population)
-    individuals = first_population(rng, lower, upper, settings.population, given)
-    costs, failures = evaluate(cost, individuals, map, 0)
-    return State(
-        method=METHOD,
-        settings=record,
-        lower=lower,
-        upper=upper,
-        generator=dict(rng.bit_generator.state),
-        arrays={"individuals": frozen(individuals), "costs": frozen(costs)},
-        history=(summary(individuals, costs),),
-        evaluations=len(individuals),
-        failures=failures,
-    )
-
-
-def _advance(
-    cost: Cost, settings: Settings, selection: Selection, map: Map, state: State
-) -> State:
+def _advance(search: Search, settings: Settings, selection: Selection, state: State) -> State:
     """One generation: pairs of parents, their children, and the best of both."""
     rng = state.rng()
     individuals, costs = state.arrays["individuals"], state.arrays["costs"]
@@ -213,7 +172,7 @@ def _advance(
             pair = np.array([_tournament(rng, costs, settings.rivals) for _ in range(2)])
         children += _cross(rng, individuals[pair[0]], individuals[pair[1]], settings)
     young = _mutate(rng, np.array(children), state.lower, state.upper, settings)
-    young_costs, failures = evaluate(cost, young, map, state.generation + 1)
+    young_costs, failures = evaluate(search.cost, young, search.map, state.generation + 1)
 
     # Children first: a stable sort then prefers them among equals.
     everyone, all_costs = np.vstack([young, individuals]), np.concatenate([young_costs, costs])

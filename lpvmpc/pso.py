@@ -27,28 +27,24 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from dataclasses import replace as replaced
-from typing import Any
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
 from lpvmpc.errors import OptionError
 from lpvmpc.search import (
-    Array,
     Cost,
     Map,
-    Result,
-    State,
+    Search,
     check_bounds,
     check_count,
     check_real,
-    check_start,
     evaluate,
-    first_population,
-    frozen,
     record_of,
     summary,
 )
+from lpvmpc.search_state import Array, Result, State, frozen
 
 BOUNCE = 0.5
 """Speed with which a particle comes back from a bound, as a fraction of that it came with."""
@@ -128,52 +124,16 @@ def minimise(
     low, high = check_bounds(lower, upper)
     check_count("seed", seed, 0, 2**63 - 1)
     record = record_of(settings, seed=seed)
-    if state is None:
-        state = _begin(cost, low, high, settings, record, map, start)
-        if after is not None:
-            after(state)
-    else:
-        state.check_same(METHOD, record, low, high)
-    while state.generation < settings.generations:
-        state = _advance(cost, settings, map, state)
-        if after is not None:
-            after(state)
-    return state.result()
+    search = Search(method=METHOD, settings=record, cost=cost, lower=low, upper=high, map=map)
+    return search.run(partial(_advance, search, settings), state, after, start=start, more=_at_rest)
 
 
-def _begin(
-    cost: Cost,
-    lower: Array,
-    upper: Array,
-    settings: Settings,
-    record: dict[str, Any],
-    map: Map,
-    start: npt.ArrayLike | None,
-) -> State:
-    """Draw and evaluate the first places; the particles rest there."""
-    rng = np.random.default_rng(record["seed"])
-    given = check_start(start, lower, upper, settings.population)
-    places = first_population(rng, lower, upper, settings.population, given)
-    costs, failures = evaluate(cost, places, map, 0)
-    return State(
-        method=METHOD,
-        settings=record,
-        lower=lower,
-        upper=upper,
-        generator=dict(rng.bit_generator.state),
-        arrays={
-            "individuals": frozen(places),  # remembered
-            "costs": frozen(costs),
-            "places": frozen(places),  # now
-            "speeds": frozen(np.zeros_like(places)),
-        },
-        history=(summary(places, costs),),
-        evaluations=len(places),
-        failures=failures,
-    )
+def _at_rest(places: Array) -> dict[str, Array]:
+    """Where the particles are, beside what they remember, and their speeds."""
+    return {"places": places, "speeds": np.zeros_like(places)}
 
 
-def _advance(cost: Cost, settings: Settings, map: Map, state: State) -> State:
+def _advance(search: Search, settings: Settings, state: State) -> State:
     """One move of the swarm."""
     rng, lower, upper = state.rng(), state.lower, state.upper
     best, costs = np.array(state.arrays["individuals"]), np.array(state.arrays["costs"])
@@ -187,7 +147,7 @@ def _advance(cost: Cost, settings: Settings, map: Map, state: State) -> State:
     beyond = (x + v < lower) | (x + v > upper)
     x = np.clip(x + v, lower, upper)
     v = np.where(beyond, -BOUNCE * v, v)
-    now, failures = evaluate(cost, x, map, state.generation + 1)
+    now, failures = evaluate(search.cost, x, search.map, state.generation + 1)
 
     # As good as before counts as better, so that a swarm on a plateau still wanders.
     better = now <= costs

@@ -11,8 +11,6 @@ NumPy only; nothing here knows what is tuned.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 import numbers
 from collections.abc import Callable, Iterable
@@ -22,61 +20,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lpvmpc.errors import DataError, OptionError
+from lpvmpc.errors import OptionError
+from lpvmpc.search_state import Array, Failure, Generation, Result, State, frozen
 
-Array = npt.NDArray[np.float64]
 Cost = Callable[[Array], float]
 Outcome = tuple[float, str | None]
 """Cost of an individual, and what went wrong, if anything."""
 Map = Callable[[Callable[[Array], Outcome], list[Array]], Iterable[Outcome]]
 """Applies a function to each individual and gives the outcomes in their order, like `map`."""
 
-FORMAT = 1
-"""Version of a saved state; one of another version is refused."""
 LARGEST = 1e100
 """Largest magnitude of a bound: sums and differences of such numbers stay finite."""
-
-
-@dataclass(frozen=True)
-class Failure:
-    """An individual whose cost could not be told; it was charged with infinity."""
-
-    generation: int
-    """Generation it belongs to; 0 is the first population."""
-    individual: int
-    """Its place among those evaluated in that generation, from 0."""
-    text: str
-    """The exception, or what is wrong with the number."""
-
-
-@dataclass(frozen=True, eq=False)
-class Generation:
-    """The population after a generation; for a swarm, the best places its particles remember."""
-
-    best: float
-    """Lowest cost so far."""
-    mean: float
-    """Mean of the finite costs; infinity where there are none."""
-    worst: float
-    """Highest cost, infinity included."""
-    individual: Array
-    """The best individual so far, shape (n,)."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Result:
-    """What a search has found."""
-
-    best: Array
-    """The best individual, shape (n,)."""
-    cost: float
-    """Its cost; infinity if no individual had a finite one."""
-    history: tuple[Generation, ...]
-    """First population and each generation."""
-    evaluations: int
-    """Number of calls of the cost."""
-    failures: tuple[Failure, ...]
-    """Individuals that were charged."""
 
 
 @dataclass(frozen=True)
@@ -141,127 +95,85 @@ def summary(individuals: Array, costs: Array) -> Generation:
     )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class State:
-    """A search after a generation: all that is needed to go on as if nothing had happened."""
+@dataclass(frozen=True, kw_only=True)
+class Search:
+    """One search: which, how, of what, and between which bounds."""
 
     method: str
-    """Which search: "genetic" or "pso"."""
+    """Its name in a saved state."""
     settings: dict[str, Any]
-    """All that decides it, besides the bounds and the cost; the seed as well."""
+    """All that decides it, besides the bounds and the cost: see `record_of`."""
+    cost: Cost
+    """The function to minimise."""
     lower: Array
     """Lower bounds, shape (n,)."""
     upper: Array
     """Upper bounds, shape (n,)."""
-    generator: dict[str, Any]
-    """State of the random number generator."""
-    arrays: dict[str, Array]
-    """The population: "individuals", shape (k, n), "costs", shape (k,), and what else moves it."""
-    history: tuple[Generation, ...]
-    """First population and each generation so far."""
-    evaluations: int
-    """Number of calls of the cost so far."""
-    failures: tuple[Failure, ...] = ()
-    """Individuals that were charged so far."""
+    map: Map
+    """Evaluates a generation."""
 
-    @property
-    def generation(self) -> int:
-        """Generations done; 0 after the first population was evaluated."""
-        return len(self.history) - 1
+    def begin(
+        self, start: npt.ArrayLike | None, more: Callable[[Array], dict[str, Array]]
+    ) -> State:
+        """Draw and evaluate the first population.
 
-    def result(self) -> Result:
-        """What has been found so far."""
-        last = self.history[-1]
-        return Result(
-            best=last.individual,
-            cost=last.best,
-            history=self.history,
-            evaluations=self.evaluations,
-            failures=self.failures,
+        Args:
+            start: Individuals that it shall contain, shape (k, n).
+            more: What else moves the population, from its individuals.
+        """
+        rng = np.random.default_rng(self.settings["seed"])
+        population = self.settings["population"]
+        given = check_start(start, self.lower, self.upper, population)
+        individuals = first_population(rng, self.lower, self.upper, population, given)
+        costs, failures = evaluate(self.cost, individuals, self.map, 0)
+        return State(
+            method=self.method,
+            settings=self.settings,
+            lower=self.lower,
+            upper=self.upper,
+            generator=dict(rng.bit_generator.state),
+            arrays={
+                "individuals": frozen(individuals),
+                "costs": frozen(costs),
+                **{name: frozen(array) for name, array in more(individuals).items()},
+            },
+            history=(summary(individuals, costs),),
+            evaluations=len(individuals),
+            failures=failures,
         )
 
-    def rng(self) -> np.random.Generator:
-        """A generator that goes on where this one's stopped."""
-        rng = np.random.default_rng(0)
-        rng.bit_generator.state = self.generator
-        return rng
+    def run(
+        self,
+        advance: Callable[[State], State],
+        state: State | None,
+        after: Callable[[State], None] | None,
+        *,
+        start: npt.ArrayLike | None = None,
+        more: Callable[[Array], dict[str, Array]] = lambda _: {},
+    ) -> Result:
+        """Go from a state, or from the first population, through all generations.
 
-    def check_same(
-        self, method: str, settings: dict[str, Any], lower: Array, upper: Array
-    ) -> None:
-        """Refuse to go on with a search that was begun in another way.
-
-        Raises:
-            DataError: With what differs.
-        """
-        if self.method != method:
-            raise DataError(f"The saved state is of the search {self.method!r}, not {method!r}.")
-        differs = [
-            f"{name.replace('_', ' ')} {self.settings.get(name)}, not {settings.get(name)}"
-            for name in sorted({*self.settings, *settings})
-            if self.settings.get(name) != settings.get(name)
-        ]
-        if self.lower.size != lower.size:
-            differs.append(f"{self.lower.size} variables, not {lower.size}")
-        elif not (np.array_equal(self.lower, lower) and np.array_equal(self.upper, upper)):
-            differs.append("other bounds")
-        if differs:
-            raise DataError(f"The saved state was made with {'; '.join(differs)}.")
-
-    def to_json(self) -> dict[str, Any]:
-        """The state as a value that `json` writes without loss; null is an infinite cost."""
-        body = {
-            "method": self.method,
-            "settings": self.settings,
-            "lower": self.lower.tolist(),
-            "upper": self.upper.tolist(),
-            "generator": self.generator,
-            "arrays": {name: _plain(array) for name, array in self.arrays.items()},
-            "history": [
-                [*_plain(np.array([g.best, g.mean, g.worst])), _plain(g.individual)]
-                for g in self.history
-            ],
-            "evaluations": self.evaluations,
-            "failures": [list(asdict(failure).values()) for failure in self.failures],
-        }
-        return {"format": FORMAT, "sha256": _digest(body), "state": body}
-
-    @classmethod
-    def from_json(cls, value: object) -> State:
-        """The state from what `to_json` gave.
+        Args:
+            advance: Makes one generation.
+            state: Go on from here.
+            after: Called with the state after the first population and after each generation.
+            start: See `begin`; looked at only where no state is given.
+            more: See `begin`.
 
         Raises:
-            DataError: It is something else, of another version, or damaged.
+            DataError: The state is of another search.
         """
-        if not (isinstance(value, dict) and {"format", "sha256", "state"} <= value.keys()):
-            raise DataError("This is no saved state of a search.")
-        if value["format"] != FORMAT:
-            raise DataError(
-                f"The saved state has format {value['format']!r}; this version reads {FORMAT}."
-            )
-        body = value["state"]
-        try:
-            if value["sha256"] != _digest(body):
-                raise ValueError("its checksum is another")
-            state = cls(
-                method=body["method"],
-                settings=dict(body["settings"]),
-                lower=frozen(body["lower"]),
-                upper=frozen(body["upper"]),
-                generator=body["generator"],
-                arrays={name: _array(rows) for name, rows in body["arrays"].items()},
-                history=tuple(
-                    Generation(_number(best), _number(mean), _number(worst), frozen(individual))
-                    for best, mean, worst, individual in body["history"]
-                ),
-                evaluations=int(body["evaluations"]),
-                failures=tuple(Failure(*fields) for fields in body["failures"]),
-            )
-            state.rng()
-            state.history[-1]
-        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
-            raise DataError(f"The saved state is damaged: {error}.") from error
-        return state
+        if state is None:
+            state = self.begin(start, more)
+            if after is not None:
+                after(state)
+        else:
+            state.check_same(self.method, self.settings, self.lower, self.upper)
+        while state.generation < self.settings["generations"]:
+            state = advance(state)
+            if after is not None:
+                after(state)
+        return state.result()
 
 
 def record_of(settings: Any, **more: object) -> dict[str, Any]:
@@ -339,35 +251,3 @@ def check_real(name: str, value: object, low: float, high: float) -> None:
     real = isinstance(value, numbers.Real) and not isinstance(value, bool)
     if not (real and low <= value <= high):  # type: ignore[operator]
         raise OptionError(name, value, f"a number from {low:g} to {high:g}")
-
-
-def frozen(values: npt.ArrayLike) -> Array:
-    """A read-only copy."""
-    array = np.array(values, dtype=np.float64)
-    array.setflags(write=False)
-    return array
-
-
-def _plain(array: Array) -> list[Any]:
-    """An array as lists of numbers, infinity as None: JSON has no infinity."""
-    if array.ndim > 1:
-        return [_plain(row) for row in array]
-    return [None if math.isinf(value) else value for value in array.tolist()]
-
-
-def _array(rows: list[Any]) -> Array:
-    """The array from such lists."""
-    if rows and isinstance(rows[0], list):
-        return frozen([_array(row) for row in rows])
-    return frozen([_number(value) for value in rows])
-
-
-def _number(value: float | None) -> float:
-    """A number from such a list."""
-    return math.inf if value is None else float(value)
-
-
-def _digest(body: object) -> str:
-    """SHA-256 of a JSON value, however it was laid out in its file."""
-    text = json.dumps(body, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()

@@ -14,7 +14,7 @@ from lpvmpc.errors import OutputError
 from lpvmpc.log import write_json
 from lpvmpc.provenance import commit, machine, versions
 from lpvmpc.report import markdown_table
-from lpvmpc.search import Array
+from lpvmpc.search_state import Array
 from lpvmpc.sphere import (
     BAR,
     LOWER,

@@ -31,7 +31,8 @@ from lpvmpc.controllers import CONTROLLERS, load_controller
 from lpvmpc.errors import DataError, LPVMPCError, OptionError, UnknownNameError
 from lpvmpc.log import Log, write_json
 from lpvmpc.metrics import metrics
-from lpvmpc.search import Array, Map, Result, State
+from lpvmpc.search import Map
+from lpvmpc.search_state import Array, Result, State
 from lpvmpc.weights_file import apply, as_dict
 
 TRACKS: dict[str, dict[str, Any]] = {"tuning-a": {"grip": 0.8}, "tuning-b": {}}

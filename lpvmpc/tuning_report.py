@@ -14,7 +14,7 @@ from lpvmpc.errors import OutputError
 from lpvmpc.log import write_json
 from lpvmpc.provenance import commit, machine, versions
 from lpvmpc.report import markdown_table
-from lpvmpc.search import Result
+from lpvmpc.search_state import Result
 from lpvmpc.tuning import Stage, Tuned
 from lpvmpc.weights_file import write_weights
 

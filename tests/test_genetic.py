@@ -215,8 +215,8 @@ def test_it_knows_nothing_of_cars():
     import ast
     from pathlib import Path
 
-    for name in ("genetic", "pso", "search"):
+    for name in ("genetic", "pso", "search", "search_state"):
         tree = ast.parse(Path(genetic.__file__).with_name(f"{name}.py").read_text())
         imported = {n.module for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
         ours = {module for module in imported if module and module.startswith("lpvmpc")}
-        assert ours <= {"lpvmpc.errors", "lpvmpc.search"}
+        assert ours <= {"lpvmpc.errors", "lpvmpc.search", "lpvmpc.search_state"}

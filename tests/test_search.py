@@ -11,7 +11,8 @@ import pytest
 
 from lpvmpc import genetic, pso
 from lpvmpc.errors import DataError, OptionError
-from lpvmpc.search import FORMAT, Generation, Guarded, State, summary
+from lpvmpc.search import Guarded, summary
+from lpvmpc.search_state import FORMAT, Generation, State
 
 LOWER, UPPER = np.array([-3.0, 0.0, 1e-3]), np.array([5.0, 1e6, 2e-3])
 OPTIMUM = np.array([1.0, 4e5, 1e-3])  # the last one lies on its bound

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lpvmpc import batch, sphere
-from lpvmpc.ablation import charge
+from lpvmpc.ablation import Measured
 from lpvmpc.dataset import secant_stiffness
 from lpvmpc.fit import r2
 from lpvmpc.model import compile_model, tires
@@ -34,30 +34,13 @@ STIFFNESS_CASE = "circuit-0.87"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row:
+class Row(Measured):
     """One cell of the tables: an entry on a road."""
 
     entry: Entry
     """Who drove."""
     case: Case
     """What was driven."""
-    result: Mapping[str, Any]
-    """Its metrics."""
-
-    @property
-    def completed(self) -> bool:
-        """Whether the car reached the end."""
-        return bool(self.result["completed"])
-
-    @property
-    def rmse(self) -> float:
-        """Lateral RMSE [m]; charged where the car was lost."""
-        return charge(self.result, "lateral_rmse_m")
-
-    @property
-    def largest(self) -> float:
-        """Largest lateral error [m]; charged where the car was lost."""
-        return charge(self.result, "lateral_max_m")
 
     def get(self, key: str) -> float | None:
         """Another metric; None where the car was lost."""
