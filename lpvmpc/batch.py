@@ -37,7 +37,7 @@ BACKENDS = ("local", "ray")
 
 UNUSED = frozenset(
     """ablation ablation_report cli collection comparison comparison_video coverage dataset drawing
-    figures fit genetic hud manoeuvres path_figure pso render report scenery search search_state
+    figures fit genetic hud manoeuvres path_figure plants pso render report scenery search search_state
     speed speed_processes sphere sphere_report stage textures training tuning tuning_report verdict
     video""".split()
 )

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lpvmpc import centreline, road
+from lpvmpc.cones import double_lane_change
 from lpvmpc.path import Path
 from lpvmpc.wind import Wind
 
@@ -45,6 +46,8 @@ class Road:
     """The same as a fraction of what the car can hold, in place of `ay_max`."""
     constant: bool = False
     """Whether the whole road is driven at one speed."""
+    cones: Callable[[float], Array] | None = None
+    """Where cones stand [m], shape (n, 2), by the width of the vehicle [m]; None: nowhere."""
 
 
 @cache
@@ -103,7 +106,11 @@ def _double_lane_change() -> Road:
 
     path = road.from_graph(derivatives, start + 125.0 + 30.0)
     source = "ISO 3888-1 double lane change, through the middle of its lanes."
-    return Road(path=path, source=source, v_max=15.0, ay_max=None, constant=True)
+
+    def cones(width: float) -> Array:
+        return double_lane_change(width).cones[:, :2] + (start, 0.0)
+
+    return Road(path=path, source=source, v_max=15.0, ay_max=None, constant=True, cones=cones)
 
 
 def _slalom() -> Road:
@@ -122,7 +129,11 @@ def _slalom() -> Road:
 
     path = road.from_graph(derivatives, first + gap * (cones - 1) + 76.0)
     source = "Slalom of our own design: eight cones 18 m apart, passed at 1.3 m, at 10 m/s."
-    return Road(path=path, source=source, v_max=10.0, ay_max=None, constant=True)
+
+    def places(_: float) -> Array:
+        return np.column_stack([first + gap * np.arange(cones), np.zeros(cones)])
+
+    return Road(path=path, source=source, v_max=10.0, ay_max=None, constant=True, cones=places)
 
 
 def _skidpad() -> Road:

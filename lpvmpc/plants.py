@@ -1,11 +1,11 @@
-"""Shapes of trees and posts beside the road: vertices, faces and colours, nothing of MuJoCo."""
+"""Shapes of trees, posts and cones: vertices, faces and colours, nothing of MuJoCo."""
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
 
-from lpvmpc.textures import BLACK, TRUNK, WHITE
+from lpvmpc.textures import BLACK, ORANGE, TRUNK, WHITE
 
 Array = npt.NDArray[np.float64]
 
@@ -37,6 +37,15 @@ def post() -> Part:
                (0.001, 1.02)]
     colours = [WHITE, WHITE, BLACK, BLACK, WHITE, WHITE, WHITE]
     return _lathe(profile, 5, colours, [0.5] * 7)
+
+
+def cone() -> Part:
+    """Traffic cone of 0.5 m with a white band, on its square foot."""
+    foot = _lathe([(0.21, 0.0), (0.21, 0.03), (0.14, 0.03)], 4, [ORANGE] * 3, [0.35] * 3)
+    profile = [(0.135, 0.03), (0.10, 0.20), (0.10, 0.20), (0.065, 0.35), (0.065, 0.35),
+               (0.03, 0.5), (0.001, 0.5)]
+    body = _lathe(profile, 10, [ORANGE] * 2 + [WHITE] * 2 + [ORANGE] * 3, [0.8] * 7)
+    return merge([foot, body])
 
 
 def _green(rng: np.random.Generator, autumn: bool = False) -> float:

@@ -18,7 +18,7 @@ from lpvmpc.catalogue import CATALOGUE, Road
 from lpvmpc.errors import OptionError, PathError, UnknownNameError
 from lpvmpc.path import Path
 from lpvmpc.speed_profile import SpeedProfile, plan
-from lpvmpc.vehicle import VehicleParams
+from lpvmpc.vehicle import Array, VehicleParams
 from lpvmpc.wind import Wind
 
 
@@ -62,6 +62,8 @@ class Scenario:
     """Where the road and its signals come from."""
     options: dict[str, Any] = field(default_factory=dict)
     """The options of `load_scenario` that made it."""
+    cones: Array = field(default_factory=lambda: np.empty((0, 2)))
+    """Where cones stand [m], shape (n, 2), for pictures: the car drives through them unharmed."""
 
     @property
     def reference_duration(self) -> float:
@@ -174,6 +176,7 @@ def load_scenario(
             "wind_scale": wind_scale,
             "friction": friction,
         },
+        cones=base.cones(params.width) if base.cones is not None else np.empty((0, 2)),
     )
 
 

@@ -64,7 +64,8 @@ class Scenery:
         self.model.geom_group[self.tiles] = np.where(near, 0, HIDDEN)
 
 
-def build(path: Any, *, width: int, height: int, samples: int = 0) -> Scenery:
+def build(path: Any, *, width: int, height: int, samples: int = 0,
+          cones: Array | None = None) -> Scenery:
     """Compile the scene with the road of a path.
 
     Args:
@@ -72,6 +73,7 @@ def build(path: Any, *, width: int, height: int, samples: int = 0) -> Scenery:
         width: Width of the pictures [px].
         height: Height of the pictures [px].
         samples: Multi-samples per pixel; costly without a GPU.
+        cones: Where cones stand [m], shape (n, 2).
 
     Returns:
         The model and its tiles. `nq` and the order of qpos are those of the vehicle.
@@ -89,6 +91,9 @@ def build(path: Any, *, width: int, height: int, samples: int = 0) -> Scenery:
         _material(spec, "plants", palette_image())
         spec.geom("ground").group = HIDDEN
         tiles = _road(spec, path) + _roadside(spec, path, rng)
+        if cones is not None and len(cones):
+            parts = [plants.at(plants.cone(), place, 0.0, 1.0) for place in cones]
+            _mesh_geom(spec, "cones", *plants.merge(parts), "plants")
         _shadow(spec)
         # What fills the picture comes last: where something stands before it, it costs nothing.
         _meadow(spec, rng)

@@ -85,7 +85,9 @@ class Stage:
         self.context = gl_context(width, height)
         self.context.make_current()
         try:
-            self.scenery: Scenery = build(log.scenario.path, width=width, height=height)
+            scenario = log.scenario
+            self.scenery: Scenery = build(scenario.path, width=width, height=height,
+                                          cones=scenario.cones)
             model = self.model = self.scenery.model
             self.data = mujoco.MjData(model)
             self.scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 200)

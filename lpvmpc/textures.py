@@ -19,7 +19,7 @@ SKY_LOW = -0.06
 """Elevation of the lower edge of the sky [rad]; the meadow hides it."""
 ASPHALT, LINE, GRAVEL = (92, 94, 97), (232, 232, 226), (126, 122, 100)
 HAZE = np.array((214, 229, 240))
-TRUNK, WHITE, BLACK = 0.02, 0.07, 0.12
+TRUNK, WHITE, BLACK, ORANGE = 0.02, 0.07, 0.12, 0.18
 """Places of plain colours on the palette; the greens follow."""
 
 
@@ -72,7 +72,8 @@ def palette_image(width: int = 512, height: int = 64) -> Image:
     shade = np.linspace(0.62, 1.12, height)[:, None, None]
     leaf = np.clip((u - 0.25) / 0.65, 0.0, 1.0)[:, None]
     colour = (1.0 - leaf) * np.array((52, 92, 48)) + leaf * np.array((112, 140, 58))
-    for place, plain in ((TRUNK, (96, 74, 54)), (WHITE, (236, 236, 232)), (BLACK, (30, 30, 32))):
+    for place, plain in ((TRUNK, (96, 74, 54)), (WHITE, (236, 236, 232)), (BLACK, (30, 30, 32)),
+                         (ORANGE, (255, 92, 12))):
         colour[np.abs(u - place) < 0.026] = plain
     colour[u > 0.91] = (186, 146, 66)  # autumn
     image = np.clip(colour[None] * shade, 0, 255)

@@ -78,7 +78,7 @@ def fake_log(duration: float = 20.0, name: str = "paper", length: float = 600.0,
     meta = {"scenario": name, "controller": "lpv-mpc", "seed": 0, "completed": True,
             "reason": "end of the path", "Ts": TS}
     return SimpleNamespace(columns=columns, timing=timing, meta=meta,
-                           scenario=SimpleNamespace(name=name, path=path))
+                           scenario=SimpleNamespace(name=name, path=path, cones=np.empty((0, 2))))
 
 
 def _qpos(columns: dict[str, Any], s: Any) -> dict[str, Any]:

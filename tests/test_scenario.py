@@ -226,3 +226,16 @@ def test_a_bad_file_names_itself(tmp_path, params):
         load_scenario(write(tmp_path, oval()[[0, 1, 2, 2, 3, 4, 5, 6]]), params=params)
     with pytest.raises(PathError, match=r"own.csv: A closed road must end .* m apart"):
         load_scenario(write(tmp_path, oval()[:60]), closed=True, params=params)
+
+
+def test_the_manoeuvres_have_their_cones_and_the_path_keeps_between_them(params):
+    course = load_scenario("double-lane-change", params=params)
+    for x, y in course.cones:  # no cone within half the car's width of the path
+        s, offset = course.path.s, np.hypot(course.path.x - x, course.path.y - y)
+        assert offset.min() > 0.5 * params.width
+        assert 0.0 < s[offset.argmin()] < course.path.length
+    slalom = load_scenario("slalom", params=params)
+    side = [np.interp(x, slalom.path.x, slalom.path.y) - y for x, y in slalom.cones]
+    assert len(side) == 8 and np.allclose(np.abs(side), 1.3, atol=0.02)
+    assert (np.diff(np.sign(side)) != 0.0).all(), "passed on alternate sides"
+    assert load_scenario("circuit", params=params).cones.shape == (0, 2)

@@ -55,3 +55,15 @@ def test_a_skidpad_of_many_laps_builds():
     path = Path(np.full(2001, 1 / 30.0), 400.0)  # two laps of a circle of 30 m
     scene = scenery.build(path, width=64, height=36)
     assert sum("road_" in scene.model.geom(g).name for g in scene.tiles) <= 8
+
+
+def test_cones_stand_where_they_are_told():
+    places = np.array([(20.0, 1.5), (40.0, -1.5)])
+    model = scenery.build(fake_path(100.0), width=64, height=36, cones=places).model
+    mesh = model.mesh("cones")
+    first = int(mesh.vertadr[0])
+    vertices = model.mesh_vert[first : first + int(mesh.vertnum[0])]
+    # MuJoCo moves a mesh to its middle and turns it; the distance between the cones remains
+    assert np.ptp(vertices, axis=0).max() > np.hypot(20.0, 3.0) - 0.5
+    bare = scenery.build(fake_path(100.0), width=64, height=36).model
+    assert model.ngeom == bare.ngeom + 1

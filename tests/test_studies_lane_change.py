@@ -4,9 +4,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lpvmpc import cones
+from lpvmpc.cones import Course, Lane
 from lpvmpc.path import Path
 from lpvmpc.studies import gates, lane_change
-from lpvmpc.studies.gates import Course, Lane, Outline
+from lpvmpc.studies.gates import Outline
 from lpvmpc.studies.study import CarUnderTest
 
 OUTLINE = Outline(front=1.9, rear=2.2, half_width=0.85)
@@ -20,16 +22,16 @@ def car():
 
 @pytest.fixture(scope="module")
 def flat():
-    course = gates.obstacle_avoidance(WIDTH)
+    course = cones.obstacle_avoidance(WIDTH)
     return course, gates.flattest_path(course, OUTLINE, 0.1)
 
 
 def test_lanes_have_the_published_sizes():
-    a, b, c = gates.double_lane_change(WIDTH).lanes
+    a, b, c = cones.double_lane_change(WIDTH).lanes
     assert [round(lane.width, 3) for lane in (a, b, c)] == [2.153, 2.326, 2.499]
     assert (a.end, b.start - a.end, b.end - b.start, c.start - b.end) == (15.0, 30.0, 25.0, 25.0)
     assert b.middle - a.middle == 3.5
-    course = gates.obstacle_avoidance(WIDTH)
+    course = cones.obstacle_avoidance(WIDTH)
     a, b, c = course.lanes
     assert course.length == 61.0
     assert [round(lane.width, 3) for lane in (a, b, c)] == [2.153, 2.73, 3.0]
@@ -40,7 +42,7 @@ def test_cones_stand_on_both_edges_from_end_to_end():
     course = Course("one lane", (Lane(0.0, 10.0, 1.0, 2.0),), coasting=False)
     x, y, side = course.cones.T
     assert x.min() == 0.0 and x.max() == 10.0
-    assert np.diff(np.unique(x)).max() <= gates.CONE_SPACING
+    assert np.diff(np.unique(x)).max() <= cones.CONE_SPACING
     assert np.all(y == 1.0 + side)
 
 

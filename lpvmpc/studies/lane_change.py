@@ -9,13 +9,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lpvmpc import cones
+from lpvmpc.cones import Course
 from lpvmpc.controllers import load_controller
 from lpvmpc.path import Path
 from lpvmpc.scenario import Scenario
 from lpvmpc.simulation import simulate
 from lpvmpc.speed_profile import SpeedProfile
 from lpvmpc.studies import gates, plots
-from lpvmpc.studies.gates import Course, FlatPath, Outline
+from lpvmpc.studies.gates import FlatPath, Outline
 from lpvmpc.studies.study import CarUnderTest, Limit, Picture, Series, StudyResult, Table
 from lpvmpc.vehicle import GRAVITY, Array, VehicleParams
 
@@ -45,7 +47,7 @@ lanes' edges. With the vehicle's width b = 1.73 m without mirrors the lanes are 
 1.2 b + 0.25 and 1.3 b + 0.25 m wide, in part 2 the second b + 1 and the third 3 m at least.
 Dimensions are those of public implementations (Project Chrono, MathWorks), which read the offset of
 part 1 in different ways. Cones stand at the ends of the lanes and at most
-{gates.CONE_SPACING:g} m apart; their bases touch the lane's edge from outside.
+{cones.CONE_SPACING:g} m apart; their bases touch the lane's edge from outside.
 
 **Driving.** The LPV-MPC follows the path with the least peak of curvature that keeps the car's
 sides {MARGIN:g} m from the lanes' edges (a linear programme). Part 1: at the entry speed
@@ -98,7 +100,7 @@ def run(car: CarUnderTest) -> StudyResult:
     """Both tracks with both stiffness models."""
     result = StudyResult("lane-change", METHOD)
     p, outline = car.params, car_outline(car)
-    courses = gates.double_lane_change(p.width), gates.obstacle_avoidance(p.width)
+    courses = cones.double_lane_change(p.width), cones.obstacle_avoidance(p.width)
     drives: dict[tuple[str, str], list[Passage]] = {}
     best: dict[tuple[str, str], Passage | None] = {}
     paths = {}
