@@ -37,9 +37,9 @@ BACKENDS = ("local", "ray")
 
 UNUSED = frozenset(
     """ablation ablation_report cli collection comparison comparison_video coverage dataset drawing
-    figures fit genetic hud manoeuvres path_figure plants pso render report scenery search search_state
-    speed speed_processes sphere sphere_report stage textures training tuning tuning_report verdict
-    video""".split()
+    figures fit genetic hud manoeuvres path_figure plants pso render report scenery search
+    search_state speed speed_processes sphere sphere_report stage textures training tuning
+    tuning_report verdict video""".split()
 )
 """Modules that no run uses: an edit of theirs leaves the results that are kept valid."""
 
