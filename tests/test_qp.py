@@ -225,3 +225,25 @@ def test_the_same_sequence_gives_the_same_bytes():
 def test_impossible_solver_options_are_named(option, value):
     with pytest.raises(OptionError, match=option):
         QPSolver(2, 2, **{option: value})
+
+
+@pytest.mark.parametrize("seed", [4787, 5253, 5722])
+def test_an_answer_that_is_not_optimal_is_asked_for_again(seed, monkeypatch):
+    """Problems in which ProxQP stops too early."""
+    _, written = problem(seed, soft_bound=0.2)
+    result = solve(written)
+    assert result.solved and result.residual <= 1e-6
+    # what it is compared with: asking again as before
+    monkeypatch.setattr("lpvmpc.qp.AGAIN", 1.0)
+    refused = solve(written)
+    assert (refused.solved, refused.status) == (False, "WRONG")
+
+
+def test_asking_again_leaves_no_trace_in_the_next_solve():
+    _, hard = problem(4787, soft_bound=0.2)
+    _, plain = problem(1)
+    alone, after = (QPSolver(len(plain["g"]), len(plain["lo"])) for _ in range(2))
+    names = ("H", "g", "C", "lo", "hi")
+    after.solve(*(hard[k] for k in names))
+    expected = alone.solve(*(plain[k] for k in names))
+    np.testing.assert_array_equal(after.solve(*(plain[k] for k in names)).z, expected.z)
