@@ -295,9 +295,10 @@ class QPSolver:
 
     ProxQP's status is not trusted alone: its duality gap is a signed sum that can cancel, so every
     solution passes `kkt_residual`. One that does not is asked for once more, with `AGAIN` of the
-    residuals: 81 of 12,000 random problems, of which that solves 79. Data that are not finite are refused before the call, since
-    they would poison the object. Each solve starts from the equality-constrained guess: warm
-    starts give wrong answers now and then, and make a result depend on its history.
+    residuals: 81 of 12,000 random problems, of which that solves 79. Data that are not finite are
+    refused before the call, since they would poison the object. Each solve starts from the
+    equality-constrained guess: warm starts give wrong answers now and then, and make a result
+    depend on its history.
 
     Source: Bambade et al., PROX-QP, RSS 2022.
     """
