@@ -105,6 +105,8 @@ def measure(rounds: int, quick: bool) -> list[tuple[str, list[Figure]]]:
     figures, log = speed.measure_loops([(label, scenario) for label, scenario, _ in roads], rounds)
     titles = [f"Closed loop on {scenario.name}{how}" for _, scenario, how in roads]
     loops = list(zip(titles, figures, strict=True))
+    say("what adapting costs")
+    adapting = speed.measure_adaptation(roads[-1][1], rounds)
     say("the video")
     try:
         frames = speed.measure_frame(log, 1 if quick else min(rounds, 3), 12 if quick else 25)
@@ -118,6 +120,7 @@ def measure(rounds: int, quick: bool) -> list[tuple[str, list[Figure]]]:
     return [
         ("Plant, one core", plant),
         *loops,
+        (f"Adapting the stiffness, on {roads[-1][1].name}", adapting),
         ("Video", frames),
         ("Start-up", start),
         ("Many simulations at once", many),

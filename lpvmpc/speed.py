@@ -28,7 +28,8 @@ from lpvmpc.plant import Plant
 from lpvmpc.rollout import SPIN_QVEL, STEER
 from lpvmpc.scenario import Scenario
 from lpvmpc.simulation import simulate
-from lpvmpc.vehicle import Command
+from lpvmpc.stiffness import ConstantStiffness, NetworkStiffness, StiffnessModel
+from lpvmpc.vehicle import Command, VehicleParams
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,6 +216,34 @@ def loop_figures(label: str, runs: Sequence[tuple[Log, float]]) -> list[Figure]:
                rounds=tuple(cpu), pick="most"),
     ]  # fmt: skip
     return figures
+
+
+def measure_adaptation(scenario: Scenario, rounds: int = 5) -> list[Figure]:
+    """What adapting the stiffness costs: the network against constant stiffness, taking turns.
+
+    Args:
+        scenario: What is driven.
+        rounds: Number of rounds, after one that warms up.
+    """
+    plant, car = Plant(), VehicleParams.load()
+    models: list[StiffnessModel] = [ConstantStiffness(car), NetworkStiffness(car)]
+    controllers = [LPVMPC(car, stiffness=model) for model in models]
+    times = np.empty((rounds + 1, 2))
+    for i in range(rounds + 1):
+        for j, controller in enumerate(controllers):
+            spent = simulate(plant, controller, scenario).timing
+            parts = spent["build_us"] + spent["solve_us"] + spent["check_us"]
+            times[i, j] = np.median(parts)
+    constant, network = times[1:].T
+    text = "build + solve + check, p50"
+    return [
+        Figure(key="constant_build_solve_check_p50_us", text=f"{text}, constant stiffness",
+               unit="us", rounds=tuple(constant)),
+        Figure(key="network_build_solve_check_p50_us", text=f"{text}, network", unit="us",
+               rounds=tuple(network)),
+        Figure(key="adaptation_ratio", text="network / constant", unit="",
+               rounds=tuple(network / constant), pick="middle"),
+    ]  # fmt: skip
 
 
 # --- video ---
