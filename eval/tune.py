@@ -134,8 +134,6 @@ class Table:
 
             self.live = Live(self.table(), auto_refresh=False)
             self.live.start()
-        else:
-            print(" ".join(name.rjust(10) for name in self.COLUMNS))
         return self
 
     def __call__(self, stage: Stage, state: State) -> None:
@@ -148,6 +146,8 @@ class Table:
         if self.live is not None:
             self.live.update(self.table(), refresh=True)
         else:
+            if len(self.rows) == 1:
+                print(" ".join(name.rjust(10) for name in self.COLUMNS))
             print(" ".join(cell.rjust(10) for cell in row), flush=True)
         new = [f for f in state.failures if f.generation == state.generation]
         for failure in new:

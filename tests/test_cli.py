@@ -1,6 +1,9 @@
 import os
+import subprocess
+import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import pytest
 
@@ -16,6 +19,8 @@ class Options:
     """How many."""
     loud: bool = False
     """Say it."""
+    tone: Literal["low", "high"] | None = None
+    """How."""
 
 
 def test_options_come_from_the_command_line():
@@ -26,10 +31,11 @@ def test_options_come_from_the_command_line():
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["--number", "x"], "Error parsing --number: invalid literal for int()"),
+        (["--number", "x"], "--number is 'x', but must be a whole number"),
         (["--number"], "Missing value for argument '--number'"),
         (["--nummer", "3"], "Unrecognized options: --nummer, 3"),
         (["more"], "Unrecognized options: more"),
+        (["--tone", "hgih"], "--tone is 'hgih', but must be one of high, low; --help lists"),
     ],
 )
 def test_a_wrong_command_line_is_one_sentence(arguments, sentence):
@@ -37,6 +43,16 @@ def test_a_wrong_command_line_is_one_sentence(arguments, sentence):
         cli.parse(Options, arguments)
     assert sentence in str(caught.value)
     assert "\n" not in str(caught.value) and "│" not in str(caught.value)
+
+
+def test_a_terminal_without_unicode_gets_the_same_sentence(root):
+    words = [sys.executable, root / "eval" / "track.py", "--stiffness", "oracl"]
+    said = [
+        subprocess.run(words, env={**os.environ, "PYTHONIOENCODING": code}, capture_output=True)
+        for code in ("utf-8", "ascii")
+    ]
+    assert said[0].stderr == said[1].stderr
+    assert said[0].stderr.startswith(b"Error: --stiffness is 'oracl', but must be one of constant,")
 
 
 def test_help_ends_with_code_zero(capsys):
