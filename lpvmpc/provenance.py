@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 PACKAGES = ("mujoco", "numba", "numpy", "proxsuite", "pyarrow")
 """Packages on whose versions a trace depends."""
+CODE = (":(top)", ":(top,exclude)docs/results")
+"""What git looks at for changes."""
 
 
 @cache
@@ -57,17 +59,25 @@ def machine() -> str:
 
 
 @cache
-def commit() -> str | None:
-    """Commit of the working tree this package lies in; None outside one or without git."""
+def commit(folder: Path = Path(__file__).parent) -> str | None:
+    """Commit of the working tree this package lies in; None outside one or without git.
+
+    It ends in `-dirty` where a tracked file differs, but for the results: one script's are no
+    change of what the next one measures.
+    """
+    name = _git(folder, "describe", "--always", "--abbrev=12")
+    if not name:
+        return None
+    changed = _git(folder, "status", "--porcelain", "--untracked-files=no", "--", *CODE)
+    return f"{name}-dirty" if changed else name
+
+
+def _git(folder: Path, *words: str) -> str | None:
+    """What git says; None where it fails."""
     try:
         answer = subprocess.run(
-            ["git", "describe", "--always", "--dirty", "--abbrev=12"],
-            cwd=Path(__file__).parent,
-            capture_output=True,
-            text=True,
-            check=True,
-            timeout=10,
+            ["git", *words], cwd=folder, capture_output=True, text=True, check=True, timeout=10
         )
     except (OSError, subprocess.SubprocessError):
         return None
-    return answer.stdout.strip() or None
+    return answer.stdout.strip()

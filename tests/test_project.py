@@ -157,6 +157,25 @@ def test_a_result_names_versions_machine_and_commit():
     assert commit() is None or re.fullmatch(r"[\w.-]+", commit())
 
 
+def test_a_change_of_the_code_is_told_and_one_of_the_results_is_not(tmp_path):
+    files = tmp_path / "lpvmpc" / "code.py", tmp_path / "docs" / "results" / "table.md"
+    for file in files:
+        file.parent.mkdir(parents=True)
+        file.write_text("one\n")
+    for words in (
+        ["init", "-q"],
+        ["add", "."],
+        ["-c", "user.name=a", "-c", "user.email=a@b.c", "commit", "-qm", "one"],
+    ):
+        subprocess.run(["git", *words], cwd=tmp_path, check=True)
+    clean = commit(files[0].parent)
+    assert re.fullmatch("[0-9a-f]{12}", clean)
+    files[1].write_text("two\n")
+    assert commit(files[0].parent) == clean
+    files[0].write_text("two\n")
+    assert commit(files[0].parent) == f"{clean}-dirty"
+
+
 def test_a_markdown_table_lines_up():
     text = markdown_table("Lengths", ["name", "m"], [["long one", 1.5], ["a", 22]])
     assert text.splitlines() == [
