@@ -170,9 +170,9 @@ def test_a_change_of_the_code_is_told_and_one_of_the_results_is_not(tmp_path):
         subprocess.run(["git", *words], cwd=tmp_path, check=True)
     clean = commit(files[0].parent)
     assert re.fullmatch("[0-9a-f]{12}", clean)
-    files[1].write_text("two\n")
+    files[1].write_text("two, and longer: git looks at the size first\n")
     assert commit(files[0].parent) == clean
-    files[0].write_text("two\n")
+    files[0].write_text("two, and longer\n")
     assert commit(files[0].parent) == f"{clean}-dirty"
 
 
