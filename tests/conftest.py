@@ -1,4 +1,5 @@
 import importlib.util
+import signal
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,6 +16,12 @@ from lpvmpc.speed_profile import SpeedProfile
 from lpvmpc.vehicle import State
 
 ROOT = Path(__file__).parents[1]
+
+
+def pytest_configure():
+    """Let Ctrl-C be tested: what a shell starts in the background is told to ignore it."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture
