@@ -20,7 +20,7 @@ import tyro
 
 from lpvmpc import cli
 from lpvmpc.errors import LPVMPCError
-from lpvmpc.log import write_json
+from lpvmpc.log import write_json, write_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -76,8 +76,8 @@ def main(options: Options) -> int:
         return cli.INTERRUPTED
     text = ablation_report.report(rows, searches, quick=quick, jobs=jobs, picture=f"{NAME}.png")
     print(summary(rows, searches))
-    cli.write_text(out / f"{NAME}.md", text)
-    cli.write_text(out / f"{NAME}.csv", ablation_report.as_csv(rows))
+    write_text(out / f"{NAME}.md", text)
+    write_text(out / f"{NAME}.csv", ablation_report.as_csv(rows))
     values = ablation_report.as_json(rows, searches, quick=quick, jobs=jobs)
     for file in (out / f"{NAME}.json", options.json):
         if file is not None:

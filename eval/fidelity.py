@@ -19,7 +19,7 @@ import tyro
 
 from lpvmpc import cli
 from lpvmpc.errors import UnknownNameError
-from lpvmpc.log import write_json
+from lpvmpc.log import write_json, write_text
 
 if TYPE_CHECKING:
     from lpvmpc.studies.study import StudyResult
@@ -79,8 +79,8 @@ def main(options: Options) -> int:
     how = " ".join(["python eval/fidelity.py", *options.studies])
     if options.broken is not None:
         how += f" --broken {options.broken}"
-    cli.write_text(out / "fidelity.md", report.markdown(results, "fidelity", how, options.broken))
-    cli.write_text(out / "fidelity.csv", report.as_csv(results))
+    write_text(out / "fidelity.md", report.markdown(results, "fidelity", how, options.broken))
+    write_text(out / "fidelity.csv", report.as_csv(results))
     if options.json is not None:
         write_json(options.json, report.as_json(results))
     count = sum(len(result.findings) for result in results)

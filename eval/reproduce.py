@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from lpvmpc import cli
-from lpvmpc.log import write_json
+from lpvmpc.log import write_json, write_text
 
 if TYPE_CHECKING:
     from lpvmpc.reproduction.evidence import Evidence
@@ -75,10 +75,10 @@ def main(options: Options) -> int:
         print("Interrupted; the same command goes on from here.", file=sys.stderr)
         return cli.INTERRUPTED
     found = replace(found, seconds=time.perf_counter() - start)
-    cli.write_text(out / f"{NAME}.md", report.report(
+    write_text(out / f"{NAME}.md", report.report(
         found, {name: f"{NAME}/{file.name}" for name, file in pictures.items()}
     ))  # fmt: skip
-    cli.write_text(out / f"{NAME}.csv", report.as_csv(found))
+    write_text(out / f"{NAME}.csv", report.as_csv(found))
     values = report.as_json(found)
     for file in (out / f"{NAME}.json", options.json):
         if file is not None:

@@ -20,7 +20,7 @@ import tyro
 
 from lpvmpc import cli
 from lpvmpc.errors import RenderError
-from lpvmpc.log import write_json
+from lpvmpc.log import write_json, write_text
 from lpvmpc.provenance import commit, machine, versions
 from lpvmpc.report import markdown_table
 
@@ -79,8 +79,8 @@ def main(options: Options) -> int:
     load = meanwhile.describe()
     text = report(sections, rounds, load)
     print(text, end="")
-    cli.write_text(out / "speed.md", text)
-    cli.write_text(out / "speed.csv", as_csv(figures))
+    write_text(out / "speed.md", text)
+    write_text(out / "speed.csv", as_csv(figures))
     for file in (out / "speed.json", options.json):
         if file is not None:
             write_json(file, as_json(figures, rounds, load))

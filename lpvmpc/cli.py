@@ -68,7 +68,7 @@ def parse(options: type[OptionsT], arguments: Sequence[str] | None = None) -> Op
     # a title, the complaint, and hints, with rules between them: lines, or dashes without Unicode
     lines = [line.strip("│╭╰╮╯ ") for line in complaint.getvalue().splitlines()[1:]]
     parts = [" ".join(part) for rule, part in groupby(lines, _is_rule) if not rule]
-    sentence = next(part for part in parts if part.strip()).strip()
+    sentence = next((part for part in parts if part.strip()), "The options cannot be read").strip()
     sentence = sentence.partition(" Got errors")[0].rstrip(". ")
     number = re.match(NUMBER, sentence)
     if number:
@@ -100,19 +100,6 @@ def check_number(name: str, value: float | None, low: float, high: float, unit: 
 def cores() -> int:
     """Number of cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def write_text(file: Path, text: str) -> None:
-    """Write a text file.
-
-    Raises:
-        OutputError: It cannot be written.
-    """
-    try:
-        file.write_text(text)
-    except OSError as error:
-        why = error.strerror or str(error)
-        raise OutputError(f"Cannot write {str(file)!r}: {why}.") from error
 
 
 def check_opengl() -> None:

@@ -176,9 +176,18 @@ def write_json(path: Path, value: object) -> None:
     Raises:
         OutputError: The file cannot be written.
     """
+    write_text(path, json.dumps(value, indent=2, allow_nan=False) + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text, whole or not at all.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
     part = path.with_name(path.name + ".part")
     try:
-        part.write_text(json.dumps(value, indent=2, allow_nan=False) + "\n")
+        part.write_text(text, encoding="utf-8")
         os.replace(part, path)
     except OSError as error:
         raise OutputError(f"Cannot write {str(path)!r}: {error.strerror or error}.") from error

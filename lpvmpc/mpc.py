@@ -39,7 +39,6 @@ from lpvmpc.errors import OptionError
 from lpvmpc.formulation import (
     DELTA_MAX_PAPER,
     DELTA_STEP_PAPER,
-    SCALE,
     UNITS,
     Formulation,
     Weights,
@@ -173,15 +172,13 @@ class LPVMPC:
             x0, built, result = self._schedule[0], time.thread_time_ns(), NOT_FINITE
             self._blind = True
         if result.solved:
-            accept(result.z, self._free, self._forced, x0, SCALE, self._plan, self._prediction)
+            accept(result.z, self._free, self._forced, self._plan, self._prediction)
             self._refused, fallback = 0, ""
         else:
             fallback = self._fall_back()
         u = self._plan[0]
         command = Command(float(u[0]), float(u[1]))
-        shift(
-            self._plan, self._prediction, self._schedule, self._knots, self._queue, x0
-        )  # fmt: skip
+        shift(self._plan, self._prediction, self._schedule, self._knots, self._queue, x0)
         self.diagnostics = Diagnostics(
             result.solved,
             fallback,

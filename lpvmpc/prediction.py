@@ -3,6 +3,20 @@
 One call from Python builds the whole QP (`period`), one tells what the last period taught
 (`compare`), one carries the solution into the next period (`accept`, `shift`): each call costs its
 own, and numbers that go through Python cost more than those that stay here.
+
+Arguments that recur, for a horizon of N periods of which N / n share one frozen model; states are
+those of `bicycle`, inputs (delta [rad], ax [m/s2]):
+
+- schedule, prediction: states at the ends of the periods, shape (N + 1, 11); knots: at the ends of
+  the intervals that share a model, shape (n + 1, 11);
+- kappa [1/m], vx_ref [m/s]: reference at the same instants, shape (N + 1,) or longer;
+- tires: affine axle forces (Cf [N/rad], F0f [N], Cr, F0r) per interval, shape (n, 4);
+- disturbance: unmodelled acceleration of (vx, vy, r) [m/s2, m/s2, rad/s2], shape (3,);
+- car: `Bicycle`; constants: the same as an array; form: CORRECTED or PRINTED; method: EXACT or
+  EULER; Ts: control period [s];
+- drive: (largest braking [m/s2], drive force [N], power [W], mass with the wheels' spin [kg]);
+- plan, u_lo, u_hi: inputs over the horizon, shape (N, 2); u_prev: the last one, shape (2,);
+- q, r_du, H, g, C, lo, hi, free, forced: see `qp.condense`.
 """
 
 from __future__ import annotations
@@ -137,14 +151,12 @@ def period(
 
 
 @njit(cache=True)
-def accept(z, free, forced, x0, scale, plan, prediction):
-    """Turn a QP solution into the input plan and the predicted states, in place."""
+def accept(z, free, forced, plan, prediction):
+    """Turn a QP solution z into the input plan and the states predicted after now, in place."""
     N, nx = free.shape
     for k in range(N):
         for m in range(NU):
-            plan[k, m] = z[k * NU + m] * scale[m]
-    for i in range(nx):
-        prediction[0, i] = x0[i]
+            plan[k, m] = z[k * NU + m] * SCALE[m]
     for k in range(N):
         for i in range(nx):
             value = free[k, i]

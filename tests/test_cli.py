@@ -99,13 +99,6 @@ def test_a_folder_is_made_and_tried(tmp_path):
             cli.writable_folder(place)
 
 
-def test_a_text_that_cannot_be_written_is_one_sentence(tmp_path):
-    cli.write_text(tmp_path / "a.md", "kept\n")
-    assert (tmp_path / "a.md").read_text() == "kept\n"
-    with pytest.raises(OutputError, match=r"^Cannot write '.*nowhere/a\.md': No such file"):
-        cli.write_text(tmp_path / "nowhere" / "a.md", "lost")
-
-
 def test_an_opengl_that_is_not_there_is_ignored_aloud(monkeypatch, capsys):
     monkeypatch.setattr(cli, "find_library", lambda name: None)
     monkeypatch.setenv("MUJOCO_GL", "egl")

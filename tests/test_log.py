@@ -5,7 +5,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from lpvmpc.errors import OutputError
-from lpvmpc.log import MOTION, PER_WHEEL, WHEELS, write_json, write_table
+from lpvmpc.log import MOTION, PER_WHEEL, WHEELS, write_json, write_table, write_text
 from lpvmpc.simulation import simulate
 from lpvmpc.vehicle import Command
 
@@ -104,3 +104,11 @@ def test_json_refuses_nan(tmp_path):
     with pytest.raises(ValueError, match="Out of range float"):
         write_json(tmp_path / "metrics.json", {"a": float("nan")})
     assert not (tmp_path / "metrics.json").exists()
+
+
+def test_a_text_is_written_whole_and_one_that_cannot_be_is_one_sentence(tmp_path):
+    write_text(tmp_path / "a.md", "R\N{SUPERSCRIPT TWO}\n")
+    assert (tmp_path / "a.md").read_bytes() == b"R\xc2\xb2\n"  # whatever the locale
+    assert [file.name for file in tmp_path.iterdir()] == ["a.md"]
+    with pytest.raises(OutputError, match=r"^Cannot write '.*nowhere/a\.md': No such file"):
+        write_text(tmp_path / "nowhere" / "a.md", "lost")
