@@ -100,8 +100,7 @@ def main(options: Options) -> int:
 
 def check_car(data: Dataset) -> Any:
     """The car's parameters; a line on stderr where the data are of another car."""
-    from lpvmpc.dataset import car_sha256
-    from lpvmpc.model import compile_model, parameters
+    from lpvmpc.model import car_sha256, compile_model, parameters
 
     model = compile_model(visual=False)
     if data.meta.get("car_sha256") != car_sha256(model):

@@ -22,7 +22,7 @@ from lpvmpc.log import write_json
 from lpvmpc.provenance import commit, machine
 
 if TYPE_CHECKING:
-    from lpvmpc.controllers import Controller
+    from lpvmpc.interface import Controller
     from lpvmpc.log import Log
 
 Number = Annotated[float | None, tyro.conf.arg(metavar="FLOAT")]

@@ -186,11 +186,12 @@ def warn_of_another_car(controller: Any, plant: Plant) -> None:
     kind = getattr(getattr(controller, "stiffness", None), "name", None)
     if kind not in ("network", "network-secant"):
         return
+    from lpvmpc.names import warn_of_another_car as check
     from lpvmpc.network import load_weights
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        load_weights(kind, model=plant.model)
+        check(load_weights(kind), plant.model)
     for warning in caught:
         print(f"Warning: {warning.message}", file=sys.stderr)
 

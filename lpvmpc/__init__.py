@@ -2,8 +2,8 @@
 
 The public names below are imported when first used, so that `import lpvmpc` stays fast:
 
-    from lpvmpc import LPVMPC, Plant, load_scenario, metrics, simulate
-    log = simulate(Plant(), LPVMPC(), load_scenario("paper"))
+    from lpvmpc import Plant, load_controller, load_scenario, metrics, simulate
+    log = simulate(Plant(), load_controller("lpv-mpc"), load_scenario("paper"))
     metrics(log)["lateral_rmse_m"]
 """
 
@@ -11,42 +11,43 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from lpvmpc import _cache
+from lpvmpc._version import __version__
 
 # Eager, because the function and its module share one name: importing lpvmpc.metrics later would
 # otherwise put the module in the function's place.
 from lpvmpc.metrics import metrics
 
 if TYPE_CHECKING:
-    from lpvmpc.controllers import CONTROLLERS, load_controller
+    from lpvmpc.controllers import CONTROLLERS
     from lpvmpc.errors import LPVMPCError
+    from lpvmpc.interface import Command, Preview, State
     from lpvmpc.mpc import LPVMPC
-    from lpvmpc.path import Path, Preview
+    from lpvmpc.names import load_controller, load_scenario
+    from lpvmpc.path import Path
     from lpvmpc.plant import Plant
-    from lpvmpc.scenario import SCENARIOS, Scenario, load_scenario
+    from lpvmpc.scenario import SCENARIOS, Scenario
     from lpvmpc.simulation import Log, simulate
     from lpvmpc.speed_profile import SpeedProfile
-    from lpvmpc.vehicle import Command, State, VehicleParams
+    from lpvmpc.vehicle import VehicleParams
     from lpvmpc.wind import Wind
-
-__version__ = "0.1.0"
 
 _HOME = {
     "CONTROLLERS": "controllers",
-    "Command": "vehicle",
+    "Command": "interface",
     "LPVMPC": "mpc",
     "LPVMPCError": "errors",
     "Log": "simulation",
     "Path": "path",
     "Plant": "plant",
-    "Preview": "path",
+    "Preview": "interface",
     "SCENARIOS": "scenario",
     "Scenario": "scenario",
     "SpeedProfile": "speed_profile",
-    "State": "vehicle",
+    "State": "interface",
     "VehicleParams": "vehicle",
     "Wind": "wind",
-    "load_controller": "controllers",
-    "load_scenario": "scenario",
+    "load_controller": "names",
+    "load_scenario": "names",
     "simulate": "simulation",
 }
 

@@ -12,7 +12,8 @@ from typing import NamedTuple
 from numba import njit
 
 from lpvmpc import tire
-from lpvmpc.vehicle import GRAVITY, Array, VehicleParams
+from lpvmpc.units import GRAVITY, Array
+from lpvmpc.vehicle import VehicleParams
 
 SLIP_STEP = 1e-3
 """Half width of the difference quotient for the slope [rad]; a thousandth of the force's scale."""

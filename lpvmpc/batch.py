@@ -19,14 +19,14 @@ from functools import cache, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from lpvmpc.controllers import described, load_controller
-from lpvmpc.errors import LPVMPCError, OptionError
+from lpvmpc.errors import LPVMPCError, OptionError, described
 from lpvmpc.log import write_json
 from lpvmpc.metrics import KEYS, metrics
+from lpvmpc.model import model_path
+from lpvmpc.names import load_controller, load_scenario
 from lpvmpc.provenance import versions
-from lpvmpc.scenario import RoadFriction, Scenario, load_scenario
+from lpvmpc.scenario import RoadFriction, Scenario
 from lpvmpc.simulation import simulate
-from lpvmpc.vehicle import model_path
 
 if TYPE_CHECKING:
     from lpvmpc.log import Log
@@ -34,14 +34,6 @@ if TYPE_CHECKING:
 
 BACKENDS = ("local", "ray")
 """Where runs can be driven: processes of this machine, or a Ray cluster."""
-
-UNUSED = frozenset(
-    """ablation ablation_report cli collection comparison comparison_video coverage dataset drawing
-    figures fit genetic hud manoeuvres path_figure plants pso render report scenery search
-    search_state speed speed_processes sphere sphere_report stage textures training tuning
-    tuning_report verdict video""".split()
-)
-"""Modules that no run uses: an edit of theirs leaves the results that are kept valid."""
 
 DIED = (
     "A worker process died (killed, or out of memory?); what was finished is kept, and fewer jobs "
@@ -132,11 +124,9 @@ class Run:
 @cache
 def foundation() -> str:
     """Hash of what every run stands on: sources, weights, data, the model's XML, versions."""
-    package = Path(__file__).parent
     digest = hashlib.sha256(json.dumps(versions(), sort_keys=True).encode())
-    files = [f for f in package.glob("*.py") if f.stem not in UNUSED]
-    for folder in ("weights", "data"):
-        files += [f for f in (package / folder).rglob("*") if f.is_file()]
+    package = Path(__file__).parent
+    files = [f for f in package.rglob("*") if f.is_file()]
     files += model_path("vehicle.xml").parent.glob("*.xml")
     for file in sorted(files):
         if "__pycache__" not in file.parts:

@@ -18,7 +18,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from lpvmpc.vehicle import GRAVITY, Array, VehicleParams
+from lpvmpc.units import GRAVITY, Array
+from lpvmpc.vehicle import VehicleParams
 
 NX = 11
 """Number of model states: vx, vy, r, ey, epsi, delta, a, alpha_f, alpha_r, phi, p."""

@@ -11,14 +11,12 @@ from importlib import resources
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from lpvmpc import centreline, road
 from lpvmpc.cones import double_lane_change
 from lpvmpc.path import Path
+from lpvmpc.units import Array
 from lpvmpc.wind import Wind
-
-Array = npt.NDArray[np.float64]
 
 V_MAX = 21.0
 """Default top speed of planned profiles: the highest of the paper [m/s]."""

@@ -15,8 +15,7 @@ import numpy.typing as npt
 
 from lpvmpc.errors import OptionError, PathError
 from lpvmpc.path import GRID, MAX_POINTS, Path
-
-Array = npt.NDArray[np.float64]
+from lpvmpc.units import Array
 
 SMOOTHING = 25.0
 """Default cut-off wavelength of the smoothing [m]. A circle of 10 m radius shrinks by 4 cm."""

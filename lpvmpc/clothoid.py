@@ -8,10 +8,9 @@ between. Callers see `Path`, whose methods say what each function does.
 import math
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
-Array = npt.NDArray[np.float64]
+from lpvmpc.units import Array
 
 # Three-point Gauss-Legendre on [0, 1]. Over one cell the heading turns by at most 0.05 rad, so the
 # quadrature error is about 1e-16 m: position is exact to rounding.

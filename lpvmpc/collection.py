@@ -28,7 +28,7 @@ import numpy as np
 from lpvmpc import dataset, manoeuvres
 from lpvmpc.errors import DataError, LPVMPCError, OptionError, OutputError
 from lpvmpc.manoeuvres import KINDS, ROWS
-from lpvmpc.model import compile_model
+from lpvmpc.model import car_sha256, compile_model
 from lpvmpc.plant import Plant
 from lpvmpc.provenance import model_sha256, versions
 
@@ -95,7 +95,7 @@ class Plan:
             "rows_per_run": ROWS,
             "versions": versions(),
             "model_sha256": model_sha256(model),
-            "car_sha256": dataset.car_sha256(model),
+            "car_sha256": car_sha256(model),
         }
 
 

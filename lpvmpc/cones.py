@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from lpvmpc.vehicle import Array
+from lpvmpc.units import Array
 
 CONE_SPACING = 3.0
 """Largest distance of the cones along a lane [m]; the car is longer, so none slips through."""

@@ -1,44 +1,30 @@
-"""The controllers by name, a user's own by `module:Class`, and the guard around what they do.
+"""The package's controllers and stiffness models by name.
 
-A controller is any class with `reset(rng)` and `command(state, preview) -> Command(delta, ax)`.
-Optional attributes: `Np` (steps of the preview it wants, default 10), `Ts` (its control period, to
-match the plant's), `diagnostics` (after each command: solved, fallback, kkt_residual, build_us,
-solve_us, check_us, prediction), `weights` (a dictionary saved beside the results).
+A new controller is one file with a class or maker that takes the car first (`interface` says what
+it must have), and one line in `CONTROLLERS`; its tuned weights lie in `weights/NAME.toml`.
 """
 
 from __future__ import annotations
 
-import math
-import os
-import signal
-import sys
-import threading
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import fields, replace
+import inspect
+from collections.abc import Callable
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any
 
-from lpvmpc.errors import ControllerError, LPVMPCError, OptionError, UnknownNameError
-from lpvmpc.vehicle import Command, State
+from lpvmpc.errors import OptionError, UnknownNameError
+from lpvmpc.interface import Controller
+from lpvmpc.stiffness import StiffnessModel
+from lpvmpc.units import Array
+from lpvmpc.vehicle import VehicleParams
 
-if TYPE_CHECKING:
-    import numpy as np
-
-    from lpvmpc.formulation import Formulation
-    from lpvmpc.path import Preview
-
-
-class Controller(Protocol):
-    """What drives the car: sees the state and the road ahead, returns a command."""
-
-    def reset(self, rng: np.random.Generator) -> None:
-        """Forget the last run; `rng` is the only source of randomness a controller may use."""
-
-    def command(self, state: State, preview: Preview) -> Command:
-        """Steering angle [rad] and acceleration [m/s2] for the coming control period."""
-
+CONTROLLERS = {
+    "lpv-mpc": ("mpc", "adaptive"),
+    "lpv-mpc-paper": ("mpc", "plain"),
+    "lmpc-pso-pid": ("lmpc", "LMPC"),
+    "stanley": ("geometric", "Stanley"),
+    "pure-pursuit": ("geometric", "PurePursuit"),
+}
+"""Controllers by name: module of this package, and class or maker; the default first."""
 
 STIFFNESS_MODELS = {
     "constant": ("stiffness", "ConstantStiffness"),
@@ -50,25 +36,45 @@ STIFFNESS_MODELS = {
 }
 """Stiffness models by name: module and class, made from the car."""
 
-
-def _lpv_mpc(**options: Any) -> Controller:
-    from lpvmpc.formulation import Formulation
-    from lpvmpc.mpc import LPVMPC
-
-    return LPVMPC(**_with_formulation(_with_stiffness(options), Formulation()))
+Coefficients = tuple[Array, Array]
+"""Magic Formula coefficients of the front and of the rear tires."""
 
 
-def _lpv_mpc_paper(**options: Any) -> Controller:
-    from lpvmpc.formulation import PAPER, PAPER_WEIGHTS
-    from lpvmpc.mpc import LPVMPC
-    from lpvmpc.weights_file import chosen
+def make_controller(
+    name: str, car: VehicleParams, coefficients: Callable[[], Coefficients], **options: Any
+) -> Controller:
+    """A controller of the package by name.
 
-    options["stiffness"] = options.get("stiffness") or "constant"
-    options["weights"] = chosen("lpv-mpc-paper", options.get("weights"), PAPER_WEIGHTS)
-    return LPVMPC(**{"formulation": PAPER, **_with_formulation(_with_stiffness(options), PAPER)})
+    Args:
+        name: One of `CONTROLLERS`.
+        car: Parameters of the car it drives.
+        coefficients: Gives the tires' coefficients; called for the oracle alone.
+        options: Arguments of its maker. A stiffness model may be named, be given the network of a
+            `stiffness_file`, and made wrong by `stiffness_scale`, `stiffness_noise` and
+            `stiffness_seed` (see `perturbed`); a formulation may be a dictionary of what differs
+            from the default.
+
+    Raises:
+        UnknownNameError: No such controller, stiffness model or part of a formulation.
+        OptionError: An option outside its domain, or one that this controller does not have.
+    """
+    if name not in CONTROLLERS:
+        raise UnknownNameError("controller", name, [*CONTROLLERS, "module:Class (your own)"])
+    maker = _attribute(*CONTROLLERS[name])
+    known = inspect.signature(maker).parameters
+    if "stiffness" in known:
+        options = _with_stiffness(options, car, coefficients)
+    elif (asked := options.pop("stiffness", None)) not in (None, "constant"):
+        raise OptionError("stiffness", asked, f"left out for {name}, which adapts to nothing")
+    for option in options:
+        if option not in known:
+            raise OptionError(f"option {option}", options[option], f"left out for {name}")
+    return maker(car, **options)
 
 
-def _with_stiffness(options: dict[str, Any]) -> dict[str, Any]:
+def _with_stiffness(
+    options: dict[str, Any], car: VehicleParams, coefficients: Callable[[], Coefficients]
+) -> dict[str, Any]:
     """The options with the stiffness model in place of its name and of what changes it."""
     options = dict(options)
     parts = ("file", "scale", "noise", "seed")
@@ -79,241 +85,49 @@ def _with_stiffness(options: dict[str, Any]) -> dict[str, Any]:
             return options
         given = ", ".join(f"stiffness_{part}" for part in wrong)
         raise OptionError("stiffness", name, f"a model by name, since {given} is given")
+    return {**options, "stiffness": make_stiffness(name, car, coefficients, **wrong)}
+
+
+def make_stiffness(
+    name: str,
+    car: VehicleParams,
+    coefficients: Callable[[], Coefficients],
+    *,
+    file: str | None = None,
+    **wrong: Any,
+) -> StiffnessModel:
+    """A stiffness model by name.
+
+    Args:
+        name: One of `STIFFNESS_MODELS`.
+        car: Parameters of the car.
+        coefficients: Gives the tires' coefficients; called for the oracle alone.
+        file: Trained network in place of the shipped one.
+        wrong: What makes it wrong on purpose: `scale`, `noise`, `seed` of `PerturbedStiffness`.
+
+    Raises:
+        UnknownNameError: No such model.
+        DataError: The network's file is missing, damaged, or of another kind.
+        OptionError: A number outside its domain.
+    """
     if name not in STIFFNESS_MODELS:
         raise UnknownNameError("stiffness model", name, STIFFNESS_MODELS)
-    from lpvmpc.vehicle import VehicleParams
-
-    module, model = STIFFNESS_MODELS[name]
-    car = options.get("car") or VehicleParams.load()
-    trained = []
-    if (file := wrong.pop("file", None)) is not None:
+    maker = _attribute(*STIFFNESS_MODELS[name])
+    more: list[Any] = []
+    if "coefficients" in inspect.signature(maker).parameters:
+        more.append(coefficients())
+    if file is not None:
         from lpvmpc.network import load_weights
 
-        trained = [load_weights(name, file)]
-    made = getattr(import_module(f"lpvmpc.{module}"), model)(car, *trained)
+        more.append(load_weights(name, file))
+    model: StiffnessModel = maker(car, *more)
     if wrong:
         from lpvmpc.perturbed import PerturbedStiffness
 
-        made = PerturbedStiffness(made, **wrong)
-    return {**options, "car": car, "stiffness": made}
+        model = PerturbedStiffness(model, **wrong)
+    return model
 
 
-def _with_formulation(options: dict[str, Any], default: Formulation) -> dict[str, Any]:
-    """The options with a formulation in place of a dictionary of what differs from the default."""
-    given = options.get("formulation")
-    if not isinstance(given, dict):
-        return options
-    known = [f.name for f in fields(default)]
-    for name in given:
-        if name not in known:
-            raise UnknownNameError("part of the formulation", name, known)
-    return {**options, "formulation": replace(default, **given)}
-
-
-def _lmpc_pso_pid(**options: Any) -> Controller:
-    from lpvmpc.baselines import LMPC
-
-    return LMPC(**_without_stiffness("lmpc-pso-pid", options))
-
-
-def _stanley(**options: Any) -> Controller:
-    from lpvmpc.baselines import Stanley
-
-    return Stanley(**_without_stiffness("stanley", options))
-
-
-def _pure_pursuit(**options: Any) -> Controller:
-    from lpvmpc.baselines import PurePursuit
-
-    return PurePursuit(**_without_stiffness("pure-pursuit", options))
-
-
-def _without_stiffness(name: str, options: dict[str, Any]) -> dict[str, Any]:
-    """The options for a controller that adapts nothing; asking it to is a mistake."""
-    options = dict(options)
-    stiffness = options.pop("stiffness", None)
-    if stiffness not in (None, "constant"):
-        raise OptionError("stiffness", stiffness, f"left out for {name}, which adapts to nothing")
-    return options
-
-
-CONTROLLERS: dict[str, Callable[..., Controller]] = {
-    "lpv-mpc": _lpv_mpc,
-    "lpv-mpc-paper": _lpv_mpc_paper,
-    "lmpc-pso-pid": _lmpc_pso_pid,
-    "stanley": _stanley,
-    "pure-pursuit": _pure_pursuit,
-}
-"""Makers of the controllers by name; each imports what it needs when it is called."""
-
-
-def load_controller(name: str, **options: Any) -> Controller:
-    """A controller by name, or a user's class by `module:Class`.
-
-    Args:
-        name: One of `CONTROLLERS`, or `module:Class` where the module is found from the current
-            directory or PYTHONPATH and the class is made without arguments.
-        options: Arguments for the makers in `CONTROLLERS`; the stiffness model may be named, be
-            given the network of a `stiffness_file`, and made wrong by `stiffness_scale`,
-            `stiffness_noise` and `stiffness_seed` (see `perturbed`); a formulation may be a
-            dictionary of what differs from the default.
-
-    Raises:
-        UnknownNameError: No such name.
-        ControllerError: The user's class does not import, or is no controller.
-    """
-    if ":" not in name:
-        if name not in CONTROLLERS:
-            raise UnknownNameError("controller", name, [*CONTROLLERS, "module:Class (your own)"])
-        return CONTROLLERS[name](**options)
-    module_name, _, class_name = name.partition(":")
-    if os.getcwd() not in sys.path:  # a script has its own folder there, not the current one
-        sys.path.insert(0, os.getcwd())
-    try:
-        module = import_module(module_name)
-    except (Exception, SystemExit) as error:
-        if isinstance(error, ModuleNotFoundError) and error.name == module_name.partition(".")[0]:
-            why = "there is no such module in the current directory or PYTHONPATH"
-        else:
-            why = described(error)
-        raise ControllerError(f"Controller {name!r} cannot be imported: {why}.") from error
-    maker = getattr(module, class_name, None)
-    if not callable(maker):
-        classes = sorted(k for k, v in vars(module).items() if isinstance(v, type) and k[0] != "_")
-        raise ControllerError(
-            f"Controller {name!r} does not exist: module {module_name!r} has no class "
-            f"{class_name!r}; it has {', '.join(classes) or 'none'}."
-        )
-    try:
-        controller = maker()
-    except LPVMPCError:
-        raise
-    except (Exception, SystemExit) as error:
-        raise ControllerError(
-            f"Controller {name!r} cannot be made without arguments: {described(error)}."
-        ) from error
-    for method in ("reset", "command"):
-        if not callable(getattr(controller, method, None)):
-            raise ControllerError(
-                f"Controller {name!r} has no method {method!r}, but must have reset(rng) and "
-                "command(state, preview)."
-            )
-    return controller
-
-
-def described(error: BaseException) -> str:
-    """An exception in one line: its class and the first line of its message."""
-    first = (str(error).strip().splitlines() or [""])[0].rstrip(".")
-    return f"{type(error).__name__}: {first}" if first else type(error).__name__
-
-
-def checked_command(answer: Any, name: str, t: float) -> Command:
-    """The answer of a controller as a Command of two finite numbers.
-
-    Args:
-        answer: What `command` returned: a Command, or any pair of numbers.
-        name: The controller, for the message.
-        t: Simulated time [s], for the message.
-
-    Raises:
-        ControllerError: The answer is something else.
-    """
-    try:
-        delta, ax = answer
-        if type(answer) is not Command and isinstance(answer, str | bytes | dict | set):
-            raise TypeError
-        command = Command(float(delta), float(ax))
-        if math.isfinite(command.delta) and math.isfinite(command.ax):
-            return command
-    except (TypeError, ValueError):
-        pass  # raised below, for every kind of wrong answer alike
-    text = repr(answer)
-    text = text if len(text) <= 80 else text[:77] + "..."
-    raise ControllerError(
-        f"Controller {name!r} returned {' '.join(text.split())} at t = {t:.3f} s, but must return "
-        "two finite numbers: Command(delta [rad], ax [m/s2])."
-    )
-
-
-class _OutOfTime(BaseException):
-    """Raised inside a controller that takes too long.
-
-    Not an Exception, so that a controller's own `except Exception` does not swallow it.
-    """
-
-
-class TimeLimit:
-    """Wall-clock limit on each call of a controller.
-
-    On the main thread of a POSIX system an alarm interrupts Python code that hangs. Elsewhere, and
-    in compiled code that never comes back to Python, a call can only be judged once it has ended.
-    """
-
-    def __init__(self, seconds: float | None, name: str):
-        """Args: limit per call [s], None for none; the controller's name for the message."""
-        self.seconds, self.name = seconds, name
-        self.armed = (
-            seconds is not None
-            and hasattr(signal, "setitimer")
-            and threading.current_thread() is threading.main_thread()
-        )
-
-    @contextmanager
-    def installed(self) -> Iterator[None]:
-        """Take over SIGALRM for the duration of a run."""
-        if not self.armed:
-            yield
-            return
-
-        def ring(signum: int, frame: object) -> None:
-            raise _OutOfTime
-
-        before = signal.signal(signal.SIGALRM, ring)
-        try:
-            yield
-        finally:
-            signal.setitimer(signal.ITIMER_REAL, 0.0)
-            signal.signal(signal.SIGALRM, before)
-
-    def call(self, what: str, t: float, function: Callable[..., Any], *args: Any) -> Any:
-        """Call a controller's method.
-
-        Args:
-            what: Name of the method, for the message.
-            t: Simulated time [s], for the message.
-            function: The method.
-            args: Its arguments.
-
-        Raises:
-            ControllerError: It raised, or took longer than the limit.
-        """
-        if self.seconds is None:
-            return self._caught(what, t, function, *args)
-        start = time.monotonic()
-        try:
-            if self.armed:
-                signal.setitimer(signal.ITIMER_REAL, self.seconds)
-            answer = self._caught(what, t, function, *args)
-            if self.armed:
-                signal.setitimer(signal.ITIMER_REAL, 0.0)
-        except _OutOfTime:
-            raise self._late(what, t) from None
-        if not self.armed and time.monotonic() - start > self.seconds:
-            raise self._late(what, t)
-        return answer
-
-    def _caught(self, what: str, t: float, function: Callable[..., Any], *args: Any) -> Any:
-        try:
-            return function(*args)
-        except LPVMPCError:
-            raise
-        except (Exception, SystemExit) as error:
-            raise ControllerError(
-                f"Controller {self.name!r} raised in {what} at t = {t:.3f} s: {described(error)}."
-            ) from error
-
-    def _late(self, what: str, t: float) -> ControllerError:
-        return ControllerError(
-            f"Controller {self.name!r} did not return from {what} within {self.seconds:g} s at "
-            f"t = {t:.3f} s (--step-timeout)."
-        )
+def _attribute(module: str, name: str) -> Any:
+    """A class or function of this package, imported now."""
+    return getattr(import_module(f"lpvmpc.{module}"), name)

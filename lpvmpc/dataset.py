@@ -15,21 +15,22 @@ import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from lpvmpc import native, tire
+from lpvmpc import native, network, tire
 from lpvmpc.errors import DataError
+from lpvmpc.interface import State
 from lpvmpc.model import numeric
-from lpvmpc.vehicle import Array
+from lpvmpc.units import Array
 
 if TYPE_CHECKING:
     import mujoco
 
-    from lpvmpc.manoeuvres import Row
+    from lpvmpc.vehicle import VehicleParams
 
 FORMAT = "lpvmpc-stiffness-1"
 """Name and version of the file format, kept in the file's metadata."""
@@ -72,6 +73,23 @@ COLUMNS = {
 
 ALPHA_SMALL, ALPHA_LARGE = 0.004, 0.012
 """Below the first slip angle the label is the slope, above the second the secant [rad]."""
+
+
+class Row(NamedTuple):
+    """What is kept of one control instant."""
+
+    state: State
+    """Motion at the instant."""
+    outputs: Array
+    """Forces and slips in the columns that native.py names, one physics step earlier."""
+    wind: float
+    """Side wind from the car's left to its right [m/s]."""
+    roll: float
+    """Roll angle [rad]."""
+    roll_rate: float
+    """Roll rate [rad/s]."""
+    drive: float
+    """Drive or brake acceleration that reaches the wheels, before resistances [m/s2]."""
 
 
 # Labels ------------------------------------------------------------------------------------------
@@ -326,18 +344,15 @@ def file_sha256(path: str | os.PathLike[str]) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def car_sha256(model: mujoco.MjModel) -> str:
-    """Hash of the physical numbers of a car: masses, springs, dampers, tires, drive, air.
-
-    To nine digits, so that neither comments and shapes in the MJCF nor another MuJoCo change it.
-    """
-    digest = hashlib.sha256()
-    arrays = (
-        model.body_mass, model.body_inertia, model.body_pos, model.body_ipos, model.jnt_stiffness,
-        model.jnt_range, model.qpos0, model.qpos_spring, model.dof_damping, model.dof_armature,
-        model.tendon_stiffness, model.numeric_data,
-    )  # fmt: skip
-    for array in arrays:
-        for value in np.ravel(array):
-            digest.update(f"{float(value) + 0.0:.9g},".encode())
-    return digest.hexdigest()
+def samples_of(data: Dataset, car: VehicleParams) -> dict[str, Array]:
+    """Arguments of `network.forces_of` from the data."""
+    masses, index = np.unique(data["mass_kg"], return_inverse=True)
+    norms = np.array([network.normalisation(car, m) for m in masses])[index]
+    return {
+        "alpha": np.column_stack([data["alpha_f_rad"], data["alpha_r_rad"]]),
+        "Fx": np.column_stack([data["Fxf_N"], data["Fxr_N"]]),
+        "ax": data["ax_mps2"],
+        "roll": car.K_phi * data["roll_rad"] + car.C_phi * data["roll_rate_radps"],
+        "friction": data["friction"],
+        "norms": norms,
+    }

@@ -55,3 +55,9 @@ class RenderError(LPVMPCError, RuntimeError):
 
 class OutputError(LPVMPCError, OSError):
     """A result cannot be written where it was asked for."""
+
+
+def described(error: BaseException) -> str:
+    """An exception in one line: its class and the first line of its message."""
+    first = (str(error).strip().splitlines() or [""])[0].rstrip(".")
+    return f"{type(error).__name__}: {first}" if first else type(error).__name__

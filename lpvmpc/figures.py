@@ -34,7 +34,7 @@ from lpvmpc.drawing import (
 )
 from lpvmpc.errors import OutputError
 from lpvmpc.log import WHEELS
-from lpvmpc.vehicle import GRAVITY
+from lpvmpc.units import GRAVITY
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -15,10 +15,11 @@ import numpy as np
 import numpy.typing as npt
 
 from lpvmpc import network
-from lpvmpc.dataset import Dataset, secant_stiffness
+from lpvmpc.dataset import Dataset, samples_of, secant_stiffness
 from lpvmpc.errors import OutputError
 from lpvmpc.secant_network import SecantNetwork
-from lpvmpc.vehicle import Array, VehicleParams
+from lpvmpc.units import Array
+from lpvmpc.vehicle import VehicleParams
 
 if TYPE_CHECKING:
     from lpvmpc.training import Trained
@@ -40,20 +41,6 @@ class Prediction:
     """Lateral force [N], shape (n, 2), where the network gives it."""
     slope: Array | None = None
     """Local slope [N/rad], shape (n, 2), where the network gives it."""
-
-
-def samples_of(data: Dataset, car: VehicleParams) -> dict[str, Array]:
-    """Arguments of `network.forces_of` from the data."""
-    masses, index = np.unique(data["mass_kg"], return_inverse=True)
-    norms = np.array([network.normalisation(car, m) for m in masses])[index]
-    return {
-        "alpha": np.column_stack([data["alpha_f_rad"], data["alpha_r_rad"]]),
-        "Fx": np.column_stack([data["Fxf_N"], data["Fxr_N"]]),
-        "ax": data["ax_mps2"],
-        "roll": car.K_phi * data["roll_rad"] + car.C_phi * data["roll_rate_radps"],
-        "friction": data["friction"],
-        "norms": norms,
-    }
 
 
 def predict(weights: network.Weights, data: Dataset, car: VehicleParams) -> Prediction:

@@ -6,12 +6,13 @@ between them, and each can be switched off alone.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import ClassVar, Literal
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from lpvmpc.errors import OptionError
+from lpvmpc.errors import OptionError, UnknownNameError
 
 DELTA_STEP_PAPER = np.pi / 12
 """Largest steering increment per period of the paper's Table 2 [rad]."""
@@ -163,3 +164,19 @@ PAPER = Formulation(
 
 PAPER_WEIGHTS = Weights(q_epsi=800.0, r_delta=0.18, terminal=0.0)
 """Weights for `PAPER`, which loses the MuJoCo car with the weights of the full controller."""
+
+
+def changed(default: Formulation, given: Formulation | Mapping[str, Any] | None) -> Formulation:
+    """A formulation as it is, or a default with some parts replaced by name.
+
+    Raises:
+        UnknownNameError: There is no such part.
+        OptionError: A part that cannot have this value.
+    """
+    if given is None or isinstance(given, Formulation):
+        return given or default
+    known = [f.name for f in fields(default)]
+    for name in given:
+        if name not in known:
+            raise UnknownNameError("part of the formulation", name, known)
+    return replace(default, **given)

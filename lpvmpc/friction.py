@@ -13,7 +13,8 @@ import math
 import numpy as np
 from numba import njit
 
-from lpvmpc.vehicle import GRAVITY, Array, VehicleParams
+from lpvmpc.units import GRAVITY, Array
+from lpvmpc.vehicle import VehicleParams
 
 FRICTION_MIN, FRICTION_MAX = 0.2, 1.2
 """Range of the estimated friction scale [-]."""

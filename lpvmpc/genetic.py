@@ -51,7 +51,8 @@ from lpvmpc.search import (
     record_of,
     summary,
 )
-from lpvmpc.search_state import Array, Result, State, frozen
+from lpvmpc.search_state import Result, State, frozen
+from lpvmpc.units import Array
 
 Selection = Literal["mixed", "roulette", "tournament"]
 Crossover = Literal["blend", "exchange"]

@@ -14,9 +14,9 @@ from typing import ClassVar, Generic, TypeVar
 import numpy as np
 
 from lpvmpc.errors import OptionError
-from lpvmpc.path import Preview
+from lpvmpc.interface import Command, Preview, State
 from lpvmpc.pid import PIDGains, SpeedPID
-from lpvmpc.vehicle import Command, State, VehicleParams
+from lpvmpc.vehicle import VehicleParams
 from lpvmpc.weights_file import chosen
 
 PREVIEW_STEPS = 60
@@ -34,11 +34,11 @@ class Geometric(Generic[WeightsT]):
     preview_steps = PREVIEW_STEPS
     weights: WeightsT
 
-    def __init__(self, car: VehicleParams | None, weights: WeightsT, delay: int) -> None:
-        """Args: the car (None: the packaged one), weights, delay (not compensated) [periods]."""
+    def __init__(self, car: VehicleParams, weights: WeightsT, delay: int) -> None:
+        """Args: the car, weights, delay (not compensated) [periods]."""
         if not (isinstance(delay, int) and 0 <= delay <= 30):
             raise OptionError("delay", delay, "a whole number of periods from 0 to 30")
-        self.car = car if car is not None else VehicleParams.load()
+        self.car = car
         self.weights = weights
         self.pid = SpeedPID(self.car, weights, self.Ts)
         self._last = Command(0.0, 0.0)
@@ -126,7 +126,7 @@ class PurePursuit(Geometric[PurePursuitWeights]):
 
     def __init__(
         self,
-        car: VehicleParams | None = None,
+        car: VehicleParams,
         *,
         weights: PurePursuitWeights | Mapping[str, float] | None = None,
         delay: int = 0,
@@ -218,7 +218,7 @@ class Stanley(Geometric[StanleyWeights]):
 
     def __init__(
         self,
-        car: VehicleParams | None = None,
+        car: VehicleParams,
         *,
         weights: StanleyWeights | Mapping[str, float] | None = None,
         delay: int = 0,

@@ -27,12 +27,13 @@ from lpvmpc.formulation import (
     SLACK_WEIGHTS,
     UNITS,
 )
-from lpvmpc.mpc import BRAKING, NOT_FINITE, Diagnostics
-from lpvmpc.path import Preview
+from lpvmpc.interface import Command, Diagnostics, Preview, State
 from lpvmpc.pid import PIDGains, SpeedPID
 from lpvmpc.qp import QPSolver, condense, n_rows
 from lpvmpc.stiffness import ConstantStiffness
-from lpvmpc.vehicle import Array, Command, State, VehicleParams
+from lpvmpc.tracker import BRAKING, NOT_FINITE
+from lpvmpc.units import Array
+from lpvmpc.vehicle import VehicleParams
 from lpvmpc.weights_file import chosen
 
 NX = 4
@@ -166,7 +167,7 @@ class LMPC:
 
     def __init__(
         self,
-        car: VehicleParams | None = None,
+        car: VehicleParams,
         *,
         weights: LMPCWeights | Mapping[str, float] | None = None,
         delay: int = 0,
@@ -174,7 +175,7 @@ class LMPC:
         """Build the controller.
 
         Args:
-            car: Vehicle parameters; the packaged car by default.
+            car: Vehicle parameters.
             weights: Cost weights and PID gains, or some of them by name; the shipped by default.
             delay: Known delay between command and effect [periods]; the steering is compensated
                 by prediction, the PID is not.
@@ -184,7 +185,7 @@ class LMPC:
         """
         if not (isinstance(delay, int) and 0 <= delay <= 30):
             raise OptionError("delay", delay, "a whole number of periods from 0 to 30")
-        self.car = car if car is not None else VehicleParams.load()
+        self.car = car
         self.weights = chosen(self.name, weights, LMPCWeights())
         self.delay = delay
         self.stiffness = ConstantStiffness(self.car)

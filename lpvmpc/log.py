@@ -17,12 +17,12 @@ import numpy as np
 import numpy.typing as npt
 
 from lpvmpc.errors import OutputError
+from lpvmpc.units import Array
 
 if TYPE_CHECKING:
-    from lpvmpc.path import Preview
+    from lpvmpc.interface import Preview
     from lpvmpc.scenario import Scenario
 
-Array = npt.NDArray[np.float64]
 
 WHEELS = ("fl", "fr", "rl", "rr")
 MOTION = (

@@ -12,17 +12,21 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from lpvmpc import native
+from lpvmpc.dataset import Row
 from lpvmpc.errors import OptionError
+from lpvmpc.interface import Command, State
+from lpvmpc.model import packaged_car
 from lpvmpc.plant import Plant
-from lpvmpc.vehicle import GRAVITY, Array, Command, State, VehicleParams
+from lpvmpc.units import GRAVITY, Array
+from lpvmpc.vehicle import VehicleParams
 
 if TYPE_CHECKING:
-    from lpvmpc.controllers import Controller
+    from lpvmpc.interface import Controller
     from lpvmpc.path import Path
     from lpvmpc.speed_profile import SpeedProfile
 
@@ -44,23 +48,6 @@ LAP_TRACKS = ("tuning-a", "tuning-b")
 """Tracks of the driven laps: never the ones that results are reported on."""
 LAP_FORMULATIONS = ("full", "paper")
 """Controllers of the driven laps: the LPV-MPC in full, and in the paper's plain formulation."""
-
-
-class Row(NamedTuple):
-    """What is kept of one control instant."""
-
-    state: State
-    """Motion at the instant."""
-    outputs: Array
-    """Forces and slips in the columns that native.py names, one physics step earlier."""
-    wind: float
-    """Side wind from the car's left to its right [m/s]."""
-    roll: float
-    """Roll angle [rad]."""
-    roll_rate: float
-    """Roll rate [rad/s]."""
-    drive: float
-    """Drive or brake acceleration that reaches the wheels, before resistances [m/s2]."""
 
 
 class Driver(Protocol):
@@ -253,7 +240,10 @@ class Lap:
 
     def __call__(self, k: int, state: State) -> Command:
         """See `Driver`."""
-        p = self.path.preview(state.x, state.y, state.psi, self.s, self.speed, self.steps, self.Ts)
+        vx, spacing = self.speed.vx, self.speed.spacing
+        p = self.path.preview(
+            state.x, state.y, state.psi, self.s, vx, spacing, self.steps, self.Ts
+        )
         self.s = p.s
         self.lost = abs(p.ey) > 3.0 or abs(p.epsi) > 1.0
         delta, ax = self.controller.command(state, p)
@@ -277,7 +267,7 @@ def lap(rng, car, friction, severity, Ts):
 @cache
 def _track(name: str) -> tuple[Path, Array, Array, Array]:
     """Path, knots and speeds at the full lateral grip, and arc lengths of straight places."""
-    from lpvmpc.scenario import load_scenario
+    from lpvmpc.names import load_scenario
 
     scenario = load_scenario(name, grip=0.75, v_max=28.0)
     path = scenario.path
@@ -297,11 +287,12 @@ def _controller(name: str) -> Controller:
     from lpvmpc.mpc import LPVMPC
     from lpvmpc.stiffness import ConstantStiffness
 
-    stiffness = ConstantStiffness(VehicleParams.load())
+    car = packaged_car()
+    stiffness = ConstantStiffness(car)
     if name == "paper":
-        return LPVMPC(stiffness=stiffness, formulation=PAPER, weights=PAPER_WEIGHTS)
+        return LPVMPC(car, stiffness=stiffness, formulation=PAPER, weights=PAPER_WEIGHTS)
     full = Formulation(traction=False)  # the data shall hold spinning wheels as well
-    return LPVMPC(stiffness=stiffness, formulation=full, weights=Weights())
+    return LPVMPC(car, stiffness=stiffness, formulation=full, weights=Weights())
 
 
 KINDS: dict[str, Draw] = {

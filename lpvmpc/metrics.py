@@ -15,12 +15,12 @@ import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
+
+from lpvmpc.units import Array
 
 if TYPE_CHECKING:
     from lpvmpc.log import Log
 
-Array = npt.NDArray[np.float64]
 
 KEYS = (
     "scenario",

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
+from functools import cache
 from pathlib import Path as FilePath
 
 import mujoco
 import numpy as np
 
 from lpvmpc import tire
-from lpvmpc.errors import ModelError
-from lpvmpc.vehicle import GRAVITY, Array, VehicleParams, model_path
+from lpvmpc.errors import ModelError, UnknownNameError
+from lpvmpc.units import GRAVITY, Array
+from lpvmpc.vehicle import VehicleParams
 
 # Sizes of the model, by which the callbacks recognise it.
 NQ, NV, NU, NA, NUSERDATA = 17, 16, 5, 10, 56
@@ -45,6 +48,32 @@ ACTUATORS = ("steer", "drive", "wind_x", "wind_y", "tires")
 
 VX_MIN = 1.0
 """Speed below which the single-track model is not used [m/s]: its slip angles divide by vx."""
+
+
+def models_dir() -> FilePath:
+    """Folder of the MJCF files: lpvmpc/models in a wheel, models/ in a checkout.
+
+    Raises:
+        ModelError: neither exists.
+    """
+    package = FilePath(__file__).resolve().parent
+    for folder in (package / "models", package.parent / "models"):
+        if (folder / "vehicle.xml").is_file():
+            return folder
+    raise ModelError(f"No models/vehicle.xml beside {package}; the installation is damaged.")
+
+
+def model_path(name: str) -> FilePath:
+    """Path of a packaged MJCF file by its name, with or without .xml.
+
+    Raises:
+        UnknownNameError: there is no such file; the message lists those there are.
+    """
+    folder = models_dir()
+    path = folder / (name if name.endswith(".xml") else f"{name}.xml")
+    if not path.is_file():
+        raise UnknownNameError("model", name, (file.stem for file in folder.glob("*.xml")))
+    return path
 
 
 def compile_model(path: str | FilePath | None = None, *, visual: bool = True) -> mujoco.MjModel:
@@ -191,6 +220,16 @@ def parameters(model: mujoco.MjModel) -> VehicleParams:
     return VehicleParams(**{name: float(value) for name, value in values.items()})
 
 
+@cache
+def packaged_car() -> VehicleParams:
+    """Parameters of the packaged car, models/vehicle.xml.
+
+    Raises:
+        ModelError: the file is broken; the installation is damaged.
+    """
+    return parameters(compile_model(visual=False))
+
+
 def tires(model: mujoco.MjModel) -> tuple[Array, Array]:
     """Magic Formula coefficients of the front and the rear tires, each (N_COEFFICIENTS,)."""
     return numeric(model, "tire_f"), numeric(model, "tire_r")
@@ -211,3 +250,20 @@ def _roll(
     half_track = 0.5 * float(centre[f"{axle}l"][1] - centre[f"{axle}r"][1])
     damping = float(model.dof_damping[joint.dofadr[0]])
     return 2.0 * half_track**2 * spring * share, 2.0 * half_track**2 * damping * share**2
+
+
+def car_sha256(model: mujoco.MjModel) -> str:
+    """Hash of the physical numbers of a car: masses, springs, dampers, tires, drive, air.
+
+    To nine digits, so that neither comments and shapes in the MJCF nor another MuJoCo change it.
+    """
+    digest = hashlib.sha256()
+    arrays = (
+        model.body_mass, model.body_inertia, model.body_pos, model.body_ipos, model.jnt_stiffness,
+        model.jnt_range, model.qpos0, model.qpos_spring, model.dof_damping, model.dof_armature,
+        model.tendon_stiffness, model.numeric_data,
+    )  # fmt: skip
+    for array in arrays:
+        for value in np.ravel(array):
+            digest.update(f"{float(value) + 0.0:.9g},".encode())
+    return digest.hexdigest()

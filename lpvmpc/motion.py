@@ -7,7 +7,7 @@ import numpy as np
 from numba import njit
 
 from lpvmpc.model import WHEELS
-from lpvmpc.vehicle import Array
+from lpvmpc.units import Array
 
 X, Y, PSI, VX, VY, R, ROLL, PITCH = range(8)
 """Columns of a motion."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -39,46 +39,22 @@ from lpvmpc.errors import OptionError
 from lpvmpc.formulation import (
     DELTA_MAX_PAPER,
     DELTA_STEP_PAPER,
+    PAPER,
+    PAPER_WEIGHTS,
     UNITS,
     Formulation,
     Weights,
+    changed,
 )
-from lpvmpc.path import Preview
+from lpvmpc.interface import Command, Diagnostics, Preview, State
 from lpvmpc.prediction import accept, advance, compare, period, shift, thin
-from lpvmpc.qp import QPResult, QPSolver, n_rows
-from lpvmpc.stiffness import NetworkStiffness, StiffnessModel
+from lpvmpc.qp import QPSolver, n_rows
+from lpvmpc.stiffness import ConstantStiffness, NetworkStiffness, StiffnessModel
 from lpvmpc.terminal import SPEEDS, cost_to_go
-from lpvmpc.vehicle import Array, Command, State, VehicleParams
+from lpvmpc.tracker import BRAKING, NOT_FINITE
+from lpvmpc.units import Array
+from lpvmpc.vehicle import VehicleParams
 from lpvmpc.weights_file import chosen
-
-BRAKING = -3.0
-"""Acceleration of the last fallback [m/s2]."""
-NOT_FINITE = QPResult(np.empty(0), False, "NOT_FINITE", np.nan, 0.0, 0.0)
-"""Outcome of a period whose measurement is not a number."""
-
-
-@dataclass
-class Diagnostics:
-    """What happened inside the last `LPVMPC.command`."""
-
-    solved: bool = True
-    """Whether the QP was solved and its solution passed the check."""
-    fallback: str = ""
-    """Empty, or which fallback was used: `shifted` or `braking`."""
-    status: str = "SOLVED"
-    """Status of the solve."""
-    kkt_residual: float = 0.0
-    """KKT residual of the solution [-]."""
-    build_us: float = 0.0
-    """Thread CPU time of adaptation, model and QP building [us]."""
-    solve_us: float = 0.0
-    """Thread CPU time in ProxQP [us]."""
-    check_us: float = 0.0
-    """Thread CPU time of the checks [us]."""
-    prediction: Array = field(default_factory=lambda: np.zeros((1, 5)))
-    """Predicted (vx, vy, r, ey, epsi), shape (Np + 1, 5)."""
-    disturbance: Array = field(default_factory=lambda: np.zeros(3))
-    """Estimated unmodelled accelerations of (vx, vy, r), shape (3,)."""
 
 
 class LPVMPC:
@@ -92,7 +68,7 @@ class LPVMPC:
 
     def __init__(
         self,
-        car: VehicleParams | None = None,
+        car: VehicleParams,
         *,
         stiffness: StiffnessModel | None = None,
         weights: Weights | Mapping[str, float] | None = None,
@@ -102,7 +78,7 @@ class LPVMPC:
         """Build the controller.
 
         Args:
-            car: Vehicle parameters; the packaged car by default.
+            car: Vehicle parameters.
             stiffness: Model of the axle forces; the shipped `network` by default.
             weights: Cost weights, or some of them by name; the shipped ones by default.
             formulation: Parts of the controller; the full one by default.
@@ -113,7 +89,7 @@ class LPVMPC:
         """
         if not (isinstance(delay, int) and 0 <= delay <= 30):
             raise OptionError("delay", delay, "a whole number of periods from 0 to 30")
-        self.car = car if car is not None else VehicleParams.load()
+        self.car = car
         self.formulation = formulation if formulation is not None else Formulation()
         if stiffness is None:
             stiffness = NetworkStiffness(self.car, Ts=self.formulation.Ts)
@@ -346,3 +322,34 @@ class LPVMPC:
         step = min(DELTA_STEP_PAPER, car.delta_rate_max * self.Ts)
         self._du_max = np.array([step])
         self._delta_max = min(DELTA_MAX_PAPER, car.delta_max)
+
+
+def adaptive(
+    car: VehicleParams,
+    *,
+    stiffness: StiffnessModel | None = None,
+    weights: Weights | Mapping[str, float] | None = None,
+    formulation: Formulation | Mapping[str, Any] | None = None,
+    delay: int = 0,
+) -> LPVMPC:
+    """The controller `lpv-mpc`: every part, or what `formulation` leaves of them."""
+    form = changed(Formulation(), formulation)
+    return LPVMPC(car, stiffness=stiffness, weights=weights, formulation=form, delay=delay)
+
+
+def plain(
+    car: VehicleParams,
+    *,
+    stiffness: StiffnessModel | None = None,
+    weights: Weights | Mapping[str, float] | None = None,
+    formulation: Formulation | Mapping[str, Any] | None = None,
+    delay: int = 0,
+) -> LPVMPC:
+    """The controller `lpv-mpc-paper`: the paper's plain formulation, constant stiffness."""
+    return LPVMPC(
+        car,
+        stiffness=ConstantStiffness(car) if stiffness is None else stiffness,
+        weights=chosen("lpv-mpc-paper", weights, PAPER_WEIGHTS),
+        formulation=changed(PAPER, formulation),
+        delay=delay,
+    )

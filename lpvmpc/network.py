@@ -20,7 +20,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,10 +31,12 @@ from numba import njit
 from lpvmpc import bicycle, tensors
 from lpvmpc.bicycle import AF, AR, DELTA, PHI, VX, VY, A, P, R
 from lpvmpc.errors import DataError, LPVMPCError, OptionError
-from lpvmpc.vehicle import GRAVITY, Array, State, VehicleParams
+from lpvmpc.interface import State
+from lpvmpc.units import GRAVITY, Array
+from lpvmpc.vehicle import VehicleParams
 
 if TYPE_CHECKING:
-    import mujoco
+    pass
 
 FORMAT = "lpvmpc-network-1"
 """Name and version of the weights' format, kept in the file's metadata."""
@@ -77,19 +78,12 @@ def shipped(kind: str) -> Path:
     return Path(__file__).with_name("weights") / f"{kind}.safetensors"
 
 
-def load_weights(
-    kind: str,
-    file: str | os.PathLike[str] | None = None,
-    *,
-    model: mujoco.MjModel | None = None,
-) -> Weights:
+def load_weights(kind: str, file: str | os.PathLike[str] | None = None) -> Weights:
     """Read and check weights.
 
     Args:
         kind: `network` or `network-secant`.
         file: A safetensors file (default: the packaged one).
-        model: The car in use; a warning is issued where the weights were trained on another one
-            (default: no such check).
 
     Raises:
         DataError: The file is missing, damaged, of another format, kind or shape, or not finite.
@@ -116,15 +110,6 @@ def load_weights(
             )
         if not np.isfinite(arrays[name]).all():
             raise DataError(f"The weights {str(path)!r} have a {name} that is not finite.")
-    if model is not None:
-        from lpvmpc.dataset import car_sha256
-
-        if metadata.get("car_sha256") != car_sha256(model):
-            warnings.warn(
-                f"The weights {path.name} were trained on another car than the one in use; "
-                "data_gen/collect.py and data_gen/train.py make new ones.",
-                stacklevel=2,
-            )
     return Weights(kind, arrays, metadata)
 
 

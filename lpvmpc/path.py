@@ -12,49 +12,20 @@ a preview never runs out.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from lpvmpc import clothoid
 from lpvmpc.errors import PathError
-
-if TYPE_CHECKING:
-    from lpvmpc.speed_profile import SpeedProfile
-
-Array = npt.NDArray[np.float64]
+from lpvmpc.interface import Preview
+from lpvmpc.units import Array
 
 GRID = 0.2
 """Default spacing of the fine grid [m]; a whole number of cells always fits the length."""
 
 MAX_POINTS = 2_000_000
 """More grid points than this is a mistake in units (400 km at the default spacing)."""
-
-
-class Preview(NamedTuple):
-    """The reference seen from the car: where it is now, and what comes along the horizon.
-
-    Arrays have shape (Np + 1,) and hold the times 0, Ts, ..., Np Ts of a point that starts at the
-    projection of the car and moves along the path at the reference speed.
-    """
-
-    s: float
-    """Arc length of the projection [m]; counts up without wrapping on closed paths."""
-    ey: float
-    """Lateral error of the car, left positive [m]."""
-    epsi: float
-    """Heading error of the car, wrapped to (-pi, pi] [rad]."""
-    kappa: Array
-    """Curvature [1/m]."""
-    vx_ref: Array
-    """Reference speed [m/s]."""
-    x: Array
-    """Position of the moving point [m]."""
-    y: Array
-    """Position of the moving point [m]."""
-    psi: Array
-    """Heading of the path [rad], continuous along the horizon and from lap to lap."""
 
 
 class Path:
@@ -240,35 +211,14 @@ class Path:
         """
         return clothoid.project(self._table, self.spacing, self.closed, x, y, s_prev)
 
-    def locate(self, x: float, y: float, psi: float | None = None) -> tuple[float, float]:
-        """Nearest point of the whole path: the first projection, when nothing is known.
-
-        Args:
-            x: Point [m].
-            y: Point [m].
-            psi: Heading of the car [rad]; where given, branches that run another way by more than
-                90 degrees are left out (unless all do).
-
-        Returns:
-            s [m] in [0, length] (an open path may be left at its ends) and ey [m].
-        """
-        distance = np.hypot(self.x - x, self.y - y)
-        if psi is not None:
-            along = np.cos(self.psi - psi) > 0.0
-            if along.any():
-                distance = np.where(along, distance, np.inf)
-        s, ey = self.project(x, y, float(self.s[int(np.argmin(distance))]))
-        if self.closed:
-            s -= math.floor(s / self.length) * self.length
-        return s, ey
-
     def preview(
         self,
         x: float,
         y: float,
         psi: float,
         s_prev: float,
-        speed: SpeedProfile,
+        vx_ref: Array,
+        spacing: float,
         Np: int,
         Ts: float,
     ) -> Preview:
@@ -279,7 +229,8 @@ class Path:
             y: Position of the car [m].
             psi: Heading of the car [rad], any multiple of 2 pi away.
             s_prev: Arc length of the previous projection [m].
-            speed: Reference speed along this path.
+            vx_ref: Reference speed at uniformly spaced points of this path [m/s], shape (n,).
+            spacing: Their distance along the path [m].
             Np: Number of steps of the horizon.
             Ts: Step [s].
         """
@@ -287,8 +238,8 @@ class Path:
             self._table,
             self.spacing,
             self.closed,
-            speed.vx,
-            speed.spacing,
+            vx_ref,
+            spacing,
             x,
             y,
             psi,

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from lpvmpc.errors import OptionError
+from lpvmpc.interface import State
 from lpvmpc.stiffness import StiffnessModel
-from lpvmpc.vehicle import Array, State
+from lpvmpc.units import Array
 
 FACTOR_MIN = 0.05
 """Least factor on an axle's force, however unlucky the draw: a force of the wrong sign, or none,

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from lpvmpc import native
 from lpvmpc.errors import LPVMPCError, OptionError
+from lpvmpc.interface import AxleForces, Command, State
 from lpvmpc.model import check_model, compile_model, parameters
 from lpvmpc.motion import PSI, ROLL, VX, VY, R, X, Y, mass_layout, planar_motion
 from lpvmpc.rollout import (
@@ -30,7 +31,8 @@ from lpvmpc.rollout import (
     rollout,
 )
 from lpvmpc.trim import place, settle
-from lpvmpc.vehicle import Array, AxleForces, Command, State, VehicleParams
+from lpvmpc.units import Array
+from lpvmpc.vehicle import VehicleParams
 
 INTEGRATION_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 

@@ -6,8 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lpvmpc.textures import BLACK, ORANGE, TRUNK, WHITE
-
-Array = npt.NDArray[np.float64]
+from lpvmpc.units import Array
 
 Part = tuple[Array, npt.NDArray[np.int64], Array]
 """Vertices [m] (n, 3), faces (m, 3), places on the palette (n, 2)."""

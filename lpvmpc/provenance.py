@@ -11,6 +11,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lpvmpc._version import __version__
+
 if TYPE_CHECKING:
     import mujoco
 
@@ -23,8 +25,6 @@ CODE = (":(top)", ":(top,exclude)docs/results")
 @cache
 def versions() -> dict[str, str]:
     """Versions of lpvmpc, Python and the packages that a trace depends on."""
-    from lpvmpc import __version__
-
     found = {"lpvmpc": __version__, "python": platform.python_version()}
     for package in PACKAGES:
         try:

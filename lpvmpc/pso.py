@@ -44,7 +44,8 @@ from lpvmpc.search import (
     record_of,
     summary,
 )
-from lpvmpc.search_state import Array, Result, State, frozen
+from lpvmpc.search_state import Result, State, frozen
+from lpvmpc.units import Array
 
 BOUNCE = 0.5
 """Speed with which a particle comes back from a bound, as a fraction of that it came with."""

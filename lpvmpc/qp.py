@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 
 from lpvmpc.errors import OptionError
-from lpvmpc.vehicle import Array
+from lpvmpc.units import Array
 
 # ProxQP's AVX builds round differently at different memory addresses, so that the last bits of a
 # solution with active bounds change from process to process. The build without is as fast for

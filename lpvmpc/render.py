@@ -17,14 +17,13 @@ from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from lpvmpc.errors import OptionError, RenderError
 from lpvmpc.hud import Hud
 from lpvmpc.stage import Stage
+from lpvmpc.units import Array
 from lpvmpc.video import Encoder
 
-Array = npt.NDArray[np.float64]
 
 def render_video(log: Any, path: str | FilePath, *, width: int = 1280, height: int = 720,
                  fps: int = 30, progress: Callable[[float], None] | None = None) -> FilePath:

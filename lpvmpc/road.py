@@ -12,12 +12,11 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from lpvmpc.errors import PathError
 from lpvmpc.path import GRID, Path
+from lpvmpc.units import Array
 
-Array = npt.NDArray[np.float64]
 Segment = tuple[float, float]
 """Length [m] and the curvature at its end [1/m]."""
 

@@ -12,7 +12,7 @@ from mujoco.batch import Batch
 from lpvmpc import native
 from lpvmpc.errors import LPVMPCError, OptionError
 from lpvmpc.motion import PSI, planar_motion
-from lpvmpc.vehicle import Array
+from lpvmpc.units import Array
 
 STEER, DRIVE, WIND_X, WIND_Y = range(4)
 """Columns of ctrl."""

@@ -18,7 +18,8 @@ from lpvmpc.catalogue import CATALOGUE, Road
 from lpvmpc.errors import OptionError, PathError, UnknownNameError
 from lpvmpc.path import Path
 from lpvmpc.speed_profile import SpeedProfile, plan
-from lpvmpc.vehicle import Array, VehicleParams
+from lpvmpc.units import Array
+from lpvmpc.vehicle import VehicleParams
 from lpvmpc.wind import Wind
 
 
@@ -70,11 +71,6 @@ class Scenario:
         """Time that the path, or one lap, takes at the reference speed [s]."""
         return self.speed.duration
 
-    @property
-    def ay_peak(self) -> float:
-        """Largest lateral acceleration vx^2 kappa of the reference [m/s2]."""
-        return float(np.abs(self.speed.vx**2 * self.path.kappa).max())
-
 
 SCENARIOS: dict[str, str] = {name: about for name, (about, _) in CATALOGUE.items()}
 """What there is to drive, by name."""
@@ -94,7 +90,7 @@ def load_scenario(
     closed: bool | None = None,
     wind_scale: float = 1.0,
     friction: float = 1.0,
-    params: VehicleParams | None = None,
+    params: VehicleParams,
 ) -> Scenario:
     """A named scenario, or one from a CSV file.
 
@@ -112,7 +108,7 @@ def load_scenario(
             closed one, to be driven once from its start to its end.
         wind_scale: Factor on the wind speed.
         friction: Scale on the road's peak friction.
-        params: The car; default: the packaged one.
+        params: The car.
 
     Raises:
         UnknownNameError: No such scenario.
@@ -120,7 +116,6 @@ def load_scenario(
         PathError: A file or a road that cannot be driven.
     """
     _check_options(v_max, ay_max, grip, wind_scale, friction)
-    params = params or VehicleParams.load()
     name = str(name_or_csv)
     if name in CATALOGUE:
         base = CATALOGUE[name][1]()

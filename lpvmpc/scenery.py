@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from lpvmpc import plants
 from lpvmpc.errors import ModelError
+from lpvmpc.model import model_path
 from lpvmpc.textures import (
     PERIOD,
     VERGE,
@@ -28,9 +29,8 @@ from lpvmpc.textures import (
     sky_elevation,
     sky_image,
 )
-from lpvmpc.vehicle import model_path
+from lpvmpc.units import Array
 
-Array = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]
 
 TILE = 60.0

@@ -21,7 +21,8 @@ import numpy as np
 import numpy.typing as npt
 
 from lpvmpc.errors import OptionError
-from lpvmpc.search_state import Array, Failure, Generation, Result, State, frozen
+from lpvmpc.search_state import Failure, Generation, Result, State, frozen
+from lpvmpc.units import Array
 
 Cost = Callable[[Array], float]
 Outcome = tuple[float, str | None]

@@ -16,8 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lpvmpc.errors import DataError
-
-Array = npt.NDArray[np.float64]
+from lpvmpc.units import Array
 
 FORMAT = 1
 """Version of a saved state; one of another version is refused."""

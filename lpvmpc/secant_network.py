@@ -11,8 +11,10 @@ from numba import njit
 from lpvmpc import bicycle
 from lpvmpc.bicycle import DELTA, VX, VY, A, R
 from lpvmpc.errors import LPVMPCError, OptionError
+from lpvmpc.interface import State
 from lpvmpc.network import SECANT_SIZES, SLOPE_MAX, SLOPE_MIN, Weights, load_weights, longitudinal
-from lpvmpc.vehicle import Array, State, VehicleParams
+from lpvmpc.units import Array
+from lpvmpc.vehicle import VehicleParams
 
 
 def packed(weights: Weights, car: VehicleParams) -> Array:

@@ -16,15 +16,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lpvmpc.controllers import Controller, TimeLimit, checked_command
 from lpvmpc.errors import LPVMPCError, OptionError
+from lpvmpc.guard import TimeLimit, checked_command
+from lpvmpc.interface import Command, Controller, State
 from lpvmpc.log import FALLBACKS, Log, Recorder
 from lpvmpc.plant import DRIVE, STEER, Plant
 from lpvmpc.provenance import model_sha256, versions
-from lpvmpc.vehicle import Command, State
 
 if TYPE_CHECKING:
-    from lpvmpc.path import Preview
+    from lpvmpc.interface import Preview
     from lpvmpc.scenario import Scenario
 
 EY_LOST = 5.0
@@ -147,7 +147,8 @@ class _Loop:
         while True:
             t, s_before = k * Ts, s
             preview = path.preview(
-                state.x, state.y, state.psi, s, scenario.speed, self.preview_steps, Ts
+                state.x, state.y, state.psi, s, scenario.speed.vx, scenario.speed.spacing,
+                self.preview_steps, Ts,
             )
             s = preview.s
             if s >= length:  # the end lies between the last instant and this one

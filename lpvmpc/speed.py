@@ -22,6 +22,7 @@ import numpy as np
 
 from lpvmpc import native
 from lpvmpc.errors import LPVMPCError
+from lpvmpc.interface import Command
 from lpvmpc.log import Log
 from lpvmpc.mpc import LPVMPC
 from lpvmpc.plant import Plant
@@ -29,7 +30,6 @@ from lpvmpc.rollout import SPIN_QVEL, STEER
 from lpvmpc.scenario import Scenario
 from lpvmpc.simulation import simulate
 from lpvmpc.stiffness import ConstantStiffness, NetworkStiffness, StiffnessModel
-from lpvmpc.vehicle import Command, VehicleParams
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,7 +169,8 @@ def measure_loops(
     Returns:
         The figures of each road, and the log of a run.
     """
-    plant, controller = Plant(), LPVMPC()
+    plant = Plant()
+    controller = LPVMPC(plant.params)
     runs: list[list[tuple[Log, float]]] = [[] for _ in roads]
     for i in range(rounds + 1):
         for (_, scenario), kept in zip(roads, runs, strict=True):
@@ -225,7 +226,8 @@ def measure_adaptation(scenario: Scenario, rounds: int = 5) -> list[Figure]:
         scenario: What is driven.
         rounds: Number of rounds, after one that warms up.
     """
-    plant, car = Plant(), VehicleParams.load()
+    plant = Plant()
+    car = plant.params
     models: list[StiffnessModel] = [ConstantStiffness(car), NetworkStiffness(car)]
     controllers = [LPVMPC(car, stiffness=model) for model in models]
     times = np.empty((rounds + 1, 2))

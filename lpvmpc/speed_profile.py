@@ -11,9 +11,8 @@ from numba import njit
 
 from lpvmpc.errors import PathError
 from lpvmpc.path import Path
-from lpvmpc.vehicle import GRAVITY, VehicleParams
-
-Array = npt.NDArray[np.float64]
+from lpvmpc.units import GRAVITY, Array
+from lpvmpc.vehicle import VehicleParams
 
 SMOOTHING_TIME = 0.3
 """Half the time over which a change of planned acceleration is spread [s]."""

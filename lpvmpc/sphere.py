@@ -20,7 +20,7 @@ import numpy as np
 
 from lpvmpc import genetic
 from lpvmpc.genetic import Crossover, Selection
-from lpvmpc.search_state import Array
+from lpvmpc.units import Array
 
 LOWER = (-10.0, -10.0, -5.0, -1.0, 5.0)
 UPPER = (10.0, 10.0, 5.0, 1.0, 8.0)

@@ -14,7 +14,6 @@ from lpvmpc.errors import OutputError
 from lpvmpc.log import write_json
 from lpvmpc.provenance import commit, machine, versions
 from lpvmpc.report import markdown_table
-from lpvmpc.search_state import Array
 from lpvmpc.sphere import (
     BAR,
     LOWER,
@@ -28,6 +27,7 @@ from lpvmpc.sphere import (
     p_text,
     verdict,
 )
+from lpvmpc.units import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

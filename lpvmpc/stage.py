@@ -18,8 +18,8 @@ import numpy.typing as npt
 
 from lpvmpc.errors import RenderError
 from lpvmpc.scenery import Scenery, build
+from lpvmpc.units import Array
 
-Array = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]
 
 WHEELS = ("fl", "fr", "rl", "rr")

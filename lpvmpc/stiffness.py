@@ -15,7 +15,9 @@ from lpvmpc.axle import Axle, axles, tangent
 from lpvmpc.bicycle import AF, AR, PHI, A
 from lpvmpc.errors import OptionError
 from lpvmpc.friction import FrictionObserver
-from lpvmpc.vehicle import Array, AxleForces, State, VehicleParams
+from lpvmpc.interface import AxleForces, State
+from lpvmpc.units import Array
+from lpvmpc.vehicle import VehicleParams
 
 if TYPE_CHECKING:
     from lpvmpc.network import Weights as NetworkWeights
@@ -73,12 +75,10 @@ class OracleStiffness:
 
     name = "oracle"
 
-    def __init__(self, car: VehicleParams) -> None:
-        """Args: the car; its tires are read from the same MJCF."""
-        from lpvmpc.model import compile_model, tires
-
+    def __init__(self, car: VehicleParams, coefficients: tuple[Array, Array]) -> None:
+        """Args: the car, and the Magic Formula coefficients of its front and rear tires."""
         self.car = car
-        self.front, self.rear = axles(car, *tires(compile_model()))
+        self.front, self.rear = axles(car, *coefficients)
         self.reset()
 
     def reset(self) -> None:

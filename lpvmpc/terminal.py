@@ -24,7 +24,7 @@ from lpvmpc.bicycle import (
     discretise,
     lpv,
 )
-from lpvmpc.vehicle import Array
+from lpvmpc.units import Array
 
 SPEEDS = np.geomspace(2.0, 45.0, 16)
 """Speeds of the table [m/s]; between them the weight is interpolated, beyond them held."""

@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from lpvmpc.units import Array
+
 Image = npt.NDArray[np.uint8]
 
 PERIOD = 12.0

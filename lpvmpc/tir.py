@@ -5,7 +5,7 @@ from pathlib import Path
 
 from lpvmpc.errors import DataError
 from lpvmpc.tire import COEFFICIENTS, coefficients
-from lpvmpc.vehicle import Array
+from lpvmpc.units import Array
 
 _NAMES_IN_FILE = {
     "R0": "UNLOADED_RADIUS",

@@ -16,7 +16,7 @@ import math
 import numpy as np
 from numba import njit
 
-from lpvmpc.vehicle import Array
+from lpvmpc.units import Array
 
 COEFFICIENTS = (
     "FNOMIN",  # nominal load [N]

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path as FilePath
 
 import numpy as np
-import numpy.typing as npt
 
 from lpvmpc.errors import PathError
-
-Array = npt.NDArray[np.float64]
+from lpvmpc.units import Array
 
 COLUMNS = ("x_m", "y_m", "w_tr_right_m", "w_tr_left_m", "vx_mps", "wind_mps")
 """Columns of the format, in its order; the first two are needed."""

@@ -25,11 +25,11 @@ import torch
 from torch import Tensor
 
 from lpvmpc import network, tensors
-from lpvmpc.dataset import Dataset
+from lpvmpc.dataset import Dataset, samples_of
 from lpvmpc.errors import DataError, LPVMPCError, OptionError
-from lpvmpc.fit import samples_of
 from lpvmpc.network import N_EVEN, SECANT_INPUTS, SECANT_SIZES
-from lpvmpc.vehicle import Array, VehicleParams
+from lpvmpc.units import Array
+from lpvmpc.vehicle import VehicleParams
 
 HELD_OUT = 0.25
 """Share of the runs, or of the samples in the random split, that is held out."""

@@ -7,7 +7,8 @@ import numpy as np
 
 from lpvmpc.errors import OptionError
 from lpvmpc.motion import PITCH, PSI, ROLL, VX, VY, R, planar_motion
-from lpvmpc.vehicle import Array, VehicleParams
+from lpvmpc.units import Array
+from lpvmpc.vehicle import VehicleParams
 
 PERIOD = 0.01
 """Time between two corrections while the car settles [s]."""

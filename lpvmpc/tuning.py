@@ -27,12 +27,14 @@ from typing import Any
 import numpy as np
 
 from lpvmpc import batch, genetic, pso
-from lpvmpc.controllers import CONTROLLERS, load_controller
+from lpvmpc.controllers import CONTROLLERS
 from lpvmpc.errors import DataError, LPVMPCError, OptionError, UnknownNameError
 from lpvmpc.log import Log, write_json
 from lpvmpc.metrics import metrics
+from lpvmpc.names import load_controller
 from lpvmpc.search import Map
-from lpvmpc.search_state import Array, Result, State
+from lpvmpc.search_state import Result, State
+from lpvmpc.units import Array
 from lpvmpc.weights_file import apply, as_dict
 
 TRACKS: dict[str, dict[str, Any]] = {"tuning-a": {"grip": 0.8}, "tuning-b": {}}

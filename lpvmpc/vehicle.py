@@ -1,82 +1,11 @@
-"""What a controller may know: the car's state, its command, and its parameters."""
+"""What a controller may know of the car: its parameters."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from pathlib import Path as FilePath
-from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
-from lpvmpc.errors import ModelError, OptionError, UnknownNameError
-
-Array = npt.NDArray[np.float64]
-
-GRAVITY = 9.81
-"""Gravitational acceleration of the paper's Table 2 [m/s2]."""
-
-
-class State(NamedTuple):
-    """True or estimated state of the car at one control instant.
-
-    The frame is ISO 8855: x forward, y left, counter-clockwise angles positive. Position and
-    velocity are those of the centre of mass of the whole car.
-    """
-
-    x: float
-    """Position [m]."""
-    y: float
-    """Position [m]."""
-    psi: float
-    """Heading [rad], unwrapped."""
-    vx: float
-    """Longitudinal speed, body frame [m/s]."""
-    vy: float
-    """Lateral speed, body frame [m/s]."""
-    r: float
-    """Yaw rate [rad/s]."""
-    delta: float
-    """Real road-wheel angle of the equivalent single track [rad]."""
-    ax: float
-    """Longitudinal acceleration of the centre of mass [m/s2], gravity excluded."""
-    ay: float
-    """Lateral acceleration of the centre of mass [m/s2], gravity excluded."""
-    wheel_speed: Array
-    """Spin of the wheels fl, fr, rl, rr [rad/s], shape (4,)."""
-
-
-class Command(NamedTuple):
-    """What a controller asks of the car for one control period."""
-
-    delta: float
-    """Road-wheel steering angle [rad], left positive."""
-    ax: float
-    """Drive (positive) or brake (negative) acceleration before resistances [m/s2]."""
-
-
-class AxleForces(NamedTuple):
-    """True forces and slip angles of the axles; only the oracle stiffness model is told them."""
-
-    Fyf: float
-    """Lateral force of the front wheels across their heading [N]."""
-    Fyr: float
-    """Lateral force of the rear wheels [N]."""
-    Fzf: float
-    """Load of the front axle [N]."""
-    Fzr: float
-    """Load of the rear axle [N]."""
-    alpha_f: float
-    """Front slip angle of the single track [rad]."""
-    alpha_r: float
-    """Rear slip angle of the single track [rad]."""
-    Fxf: float
-    """Longitudinal force of the front wheels along their heading [N]."""
-    Fxr: float
-    """Longitudinal force of the rear wheels [N]."""
-    mu: float
-    """Peak friction of the four wheels, weighted by their loads [-]."""
+from lpvmpc.errors import OptionError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,40 +123,3 @@ class VehicleParams:
                 raise OptionError(field.name, value, "positive")
         if self.brake_front >= 1.0:
             raise OptionError("brake_front", self.brake_front, "a share between 0 and 1")
-
-    @classmethod
-    def load(cls, path: str | FilePath | None = None) -> VehicleParams:
-        """Read the parameters from an MJCF file (default: the packaged models/vehicle.xml).
-
-        Raises:
-            ModelError: the file is broken, or not a car of this package.
-        """
-        from lpvmpc import model  # MuJoCo and numba: not for those who only need the types
-
-        return model.parameters(model.compile_model(path))
-
-
-def models_dir() -> FilePath:
-    """Folder of the MJCF files: lpvmpc/models in a wheel, models/ in a checkout.
-
-    Raises:
-        ModelError: neither exists.
-    """
-    package = FilePath(__file__).resolve().parent
-    for folder in (package / "models", package.parent / "models"):
-        if (folder / "vehicle.xml").is_file():
-            return folder
-    raise ModelError(f"No models/vehicle.xml beside {package}; the installation is damaged.")
-
-
-def model_path(name: str) -> FilePath:
-    """Path of a packaged MJCF file by its name, with or without .xml.
-
-    Raises:
-        UnknownNameError: there is no such file; the message lists those there are.
-    """
-    folder = models_dir()
-    path = folder / (name if name.endswith(".xml") else f"{name}.xml")
-    if not path.is_file():
-        raise UnknownNameError("model", name, (file.stem for file in folder.glob("*.xml")))
-    return path

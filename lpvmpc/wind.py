@@ -16,8 +16,7 @@ import numpy.typing as npt
 from numba import njit
 
 from lpvmpc.errors import OptionError
-
-Array = npt.NDArray[np.float64]
+from lpvmpc.units import Array
 
 
 @dataclass(frozen=True, kw_only=True)

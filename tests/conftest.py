@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from lpvmpc import cli
+from lpvmpc.interface import State
 from lpvmpc.path import Path as Road
 from lpvmpc.plant import Wheels
 from lpvmpc.scenario import Scenario
 from lpvmpc.speed_profile import SpeedProfile
-from lpvmpc.vehicle import State
 
 ROOT = Path(__file__).parents[1]
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from lpvmpc.model import model_path
 from lpvmpc.path import Path
-from lpvmpc.vehicle import model_path
 
 TS = 0.033
 NP = 10

@@ -10,6 +10,7 @@ import sys
 from functools import cache
 
 import pytest
+from references import ay_peak
 
 from lpvmpc import (
     LPVMPC,
@@ -23,8 +24,8 @@ from lpvmpc.reproduction import rest
 
 DRIVE_AND_WRITE = """
 import sys
-from lpvmpc import LPVMPC, Plant, load_scenario, simulate
-simulate(Plant(), LPVMPC(), load_scenario("paper"), seed=3).write(sys.argv[1])
+from lpvmpc import Plant, load_controller, load_scenario, simulate
+simulate(Plant(), load_controller("lpv-mpc"), load_scenario("paper"), seed=3).write(sys.argv[1])
 """
 
 
@@ -84,7 +85,7 @@ def test_every_road_is_driven_as_planned(name, grip):
     # Slower than this would make the lateral bars easy.
     assert result["duration_s"] == pytest.approx(result["reference_duration_s"], rel=0.02)
     # So would cutting the tightest bend's curvature or speed; overshoot is not bounded here.
-    assert result["lateral_acc_max_mps2"] >= 0.95 * log.scenario.ay_peak
+    assert result["lateral_acc_max_mps2"] >= 0.95 * ay_peak(log.scenario)
     # Constant stiffness is 10 to 20 % wrong at 5 m/s2, where the tires bend; with feedback over
     # 33 ms periods that leaves millimetres where the curvature changes (1.9 and 7.1 mm, lane
     # change). The largest error allowed is a fifteenth of the 0.3 m that the paper allows.
@@ -97,7 +98,7 @@ def test_every_road_is_driven_as_planned(name, grip):
 def test_the_steering_comes_to_rest_at_every_speed(plant, vx, turning):
     """No limit cycle: a gust pushes the car off the line, then nothing is left to correct."""
     # What is left 4 s after the gust was 1e-5 rad: the slowest mode decays with half a second.
-    result = rest.of(simulate(plant, LPVMPC(), rest.scenario(vx, turning)), vx, turning)
+    result = rest.of(simulate(plant, LPVMPC(plant.params), rest.scenario(vx, turning)), vx, turning)
     assert result.ok, result
 
 

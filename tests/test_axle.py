@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from lpvmpc import axle, tire
-from lpvmpc.model import compile_model, tires
-from lpvmpc.vehicle import GRAVITY, VehicleParams
+from lpvmpc.model import compile_model, packaged_car, tires
+from lpvmpc.units import GRAVITY
 
 
 @pytest.fixture(scope="module")
 def car():
-    return VehicleParams.load()
+    return packaged_car()
 
 
 @pytest.fixture(scope="module")

@@ -5,29 +5,29 @@ import math
 import numpy as np
 import pytest
 
-from lpvmpc.baselines import (
-    LMPC,
-    LMPCWeights,
-    PIDGains,
-    PurePursuit,
-    PurePursuitWeights,
-    SpeedPID,
-    Stanley,
-    StanleyWeights,
-)
 from lpvmpc.bicycle import CORRECTED, Bicycle, lpv
 from lpvmpc.bicycle import NU as FULL_NU
 from lpvmpc.bicycle import NX as FULL_NX
-from lpvmpc.controllers import CONTROLLERS, load_controller
+from lpvmpc.controllers import CONTROLLERS
 from lpvmpc.errors import OptionError
 from lpvmpc.formulation import UNITS
-from lpvmpc.geometric import pursuit_angle, stanley_angle
-from lpvmpc.lmpc import lateral
-from lpvmpc.mpc import BRAKING
+from lpvmpc.geometric import (
+    PurePursuit,
+    PurePursuitWeights,
+    Stanley,
+    StanleyWeights,
+    pursuit_angle,
+    stanley_angle,
+)
+from lpvmpc.interface import State
+from lpvmpc.lmpc import LMPC, LMPCWeights, lateral
+from lpvmpc.model import packaged_car
+from lpvmpc.names import load_controller
 from lpvmpc.path import Path as Road
+from lpvmpc.pid import PIDGains, SpeedPID
 from lpvmpc.qp import QPResult
 from lpvmpc.speed_profile import SpeedProfile
-from lpvmpc.vehicle import State, VehicleParams
+from lpvmpc.tracker import BRAKING
 from lpvmpc.weights_file import shipped_file
 
 TS = 0.033
@@ -39,7 +39,7 @@ RNG = np.random.default_rng(0)
 
 @pytest.fixture(scope="module")
 def car():
-    return VehicleParams.load()
+    return packaged_car()
 
 
 def made(name, car, **options):
@@ -55,7 +55,7 @@ def seen(kappa=0.0, vx=12.0, vy=0.0, r=0.0, ey=0.0, epsi=0.0, delta=0.0, steps=6
     x, y = px - ey * math.sin(psi), py + ey * math.cos(psi)
     state = State(x, y, psi + epsi, vx, vy, r, delta, 0.0, 0.0, np.zeros(4))
     speed = SpeedProfile.constant(vx, road)
-    return state, road.preview(x, y, psi + epsi, x0, speed, steps, TS)
+    return state, road.preview(x, y, psi + epsi, x0, speed.vx, speed.spacing, steps, TS)
 
 
 def command(controller, **where):

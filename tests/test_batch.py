@@ -168,26 +168,6 @@ def test_an_edited_track_is_read_again(road, tmp_path):
     assert batch.scenario_of(at(road, 10.0)).path.length > before + 1.0
 
 
-def test_modules_that_are_said_to_be_unused_are_not_used(road, tmp_path):
-    """Else an edit of theirs would leave wrong results valid."""
-    write_road(tmp_path / "bend.csv")
-    code = f"""
-import sys
-from lpvmpc.batch import Run, drive_all
-for stiffness in ("network", "network-secant", "oracle", "oracle-secant"):
-    options = {{"stiffness": stiffness, "stiffness_scale": 0.9}}
-    assert drive_all([Run(scenario={road!r}, controller_options=options)])[0]["completed"]
-for controller in ("lpv-mpc-paper", "stanley", "pure-pursuit", "lmpc-pso-pid"):
-    assert drive_all([Run(scenario={road!r}, controller=controller)])[0]["duration_s"]
-print(*(name.removeprefix("lpvmpc.") for name in sys.modules if name.startswith("lpvmpc.")))
-"""
-    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert answer.returncode == 0, answer.stderr
-    used = set(answer.stdout.split())
-    assert {"mpc", "network", "secant_network", "baselines"} <= used
-    assert not used & batch.UNUSED
-
-
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [

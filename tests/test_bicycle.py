@@ -23,12 +23,12 @@ from lpvmpc.bicycle import (
     A,
     R,
 )
-from lpvmpc.vehicle import VehicleParams
+from lpvmpc.model import packaged_car
 
 
 @pytest.fixture(scope="module")
 def params():
-    return VehicleParams.load()
+    return packaged_car()
 
 
 @pytest.fixture(scope="module")

@@ -45,7 +45,8 @@ def test_noise_is_smoothed_and_the_largest_shift_reported(noise):
     true = np.column_stack([80.0 * np.cos(dense), 50.0 * np.sin(dense)])
     path = centreline.fit(true + noise * rng.standard_normal(true.shape)).path
     assert noise < path.largest_shift < 5.0 * noise  # the largest of 315 draws
-    off = [path.project(*p, path.locate(*p)[0])[1] for p in true]
+    near = [path.s[np.argmin(np.hypot(path.x - x, path.y - y))] for x, y in true]
+    off = [path.project(*p, s)[1] for p, s in zip(true, near, strict=True)]
     assert np.sqrt(np.mean(np.square(off))) < 0.6 * noise  # nearer to the road than the data
     raw = np.diff(np.unwrap(np.arctan2(*np.diff(true, axis=0).T[::-1]))) / 1.3
     assert np.abs(path.kappa).max() < np.abs(raw).max() + 0.25 * noise

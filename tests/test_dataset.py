@@ -6,9 +6,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from lpvmpc import dataset, manoeuvres
-from lpvmpc.dataset import ALPHA_LARGE, ALPHA_SMALL, COLUMNS, car_sha256, secant_stiffness
+from lpvmpc.dataset import ALPHA_LARGE, ALPHA_SMALL, COLUMNS, secant_stiffness
 from lpvmpc.errors import DataError
-from lpvmpc.model import compile_model
+from lpvmpc.model import car_sha256, compile_model
 
 
 @pytest.fixture(scope="module")

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from lpvmpc.friction import FRICTION_MAX, FRICTION_MIN, FrictionObserver
-from lpvmpc.vehicle import VehicleParams
+from lpvmpc.model import packaged_car
 
 TS = 0.033
 
 
 @pytest.fixture(scope="module")
 def car():
-    return VehicleParams.load()
+    return packaged_car()
 
 
 def axle(alpha, mu, C, peak):

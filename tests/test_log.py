@@ -5,9 +5,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from lpvmpc.errors import OutputError
+from lpvmpc.interface import Command
 from lpvmpc.log import MOTION, PER_WHEEL, WHEELS, write_json, write_table, write_text
 from lpvmpc.simulation import simulate
-from lpvmpc.vehicle import Command
 
 
 class Noisy:

@@ -5,8 +5,8 @@ import pytest
 
 from lpvmpc import manoeuvres, native
 from lpvmpc.errors import OptionError
+from lpvmpc.interface import Command
 from lpvmpc.manoeuvres import ALPHA_MAX, KINDS, ROWS, VX_HIGH, VX_LOW, drive, steer_for
-from lpvmpc.vehicle import Command
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import lpvmpc
+from lpvmpc.interface import Command
 from lpvmpc.metrics import KEYS, largest, metrics, rms, step_times, wrap
 from lpvmpc.simulation import simulate
-from lpvmpc.vehicle import Command
 
 
 class Straight:

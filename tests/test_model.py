@@ -4,8 +4,7 @@ import pytest
 
 from lpvmpc import native
 from lpvmpc.errors import ModelError
-from lpvmpc.model import WHEELS, check_model, compile_model
-from lpvmpc.vehicle import model_path
+from lpvmpc.model import WHEELS, check_model, compile_model, model_path
 
 
 @pytest.fixture(scope="module")

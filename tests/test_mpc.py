@@ -7,18 +7,18 @@ from lpvmpc import weights_file
 from lpvmpc.bicycle import DELTA, NX, Bicycle, derivative
 from lpvmpc.errors import OptionError
 from lpvmpc.formulation import EY_MAX, PAPER, PAPER_WEIGHTS, Formulation, Weights
+from lpvmpc.interface import Preview, State
+from lpvmpc.model import packaged_car
 from lpvmpc.mpc import BRAKING, LPVMPC
-from lpvmpc.path import Preview
 from lpvmpc.qp import QPResult
 from lpvmpc.stiffness import ConstantStiffness
-from lpvmpc.vehicle import State, VehicleParams
 
 TS, NP = 0.033, 10
 
 
 @pytest.fixture(scope="module")
 def car():
-    return VehicleParams.load()
+    return packaged_car()
 
 
 def linear_tires(car, **options):
@@ -239,7 +239,7 @@ def test_some_weights_may_be_given_by_name(car):
 
 def spinning(slip, vx=10.0):
     """A car that drives straight on, its front wheels faster than the road by a slip ratio."""
-    R_w = VehicleParams.load().R_w
+    R_w = packaged_car().R_w
     wheels = np.array([1.0 + slip, 1.0, 1.0, 1.0]) * vx / R_w
     return State(0.0, 0.0, 0.0, vx, 0.0, 0.0, 0.0, 2.0, 0.0, wheels)
 

@@ -1,7 +1,6 @@
 import json
 import os
 import time
-import warnings
 
 import numpy as np
 import pytest
@@ -10,9 +9,10 @@ from lpvmpc import bicycle, network, tensors
 from lpvmpc.bicycle import AF, AR, DELTA, NX, PHI, VX, A, R
 from lpvmpc.errors import DataError, LPVMPCError, OptionError
 from lpvmpc.model import compile_model
+from lpvmpc.names import warn_of_another_car
 from lpvmpc.network import NetworkTire, load_weights, shipped
 from lpvmpc.secant_network import SecantNetwork
-from lpvmpc.vehicle import GRAVITY
+from lpvmpc.units import GRAVITY
 
 
 @pytest.fixture(scope="module")
@@ -183,7 +183,7 @@ def test_mirrored_predictions_give_mirrored_tangents(tire, secant, prediction):
 
 
 def test_drive_and_brake_forces_are_the_plants(plant, car):
-    from lpvmpc.vehicle import Command
+    from lpvmpc.interface import Command
 
     plant.friction = 1.0
     plant.reset(vx=15.0)
@@ -277,9 +277,8 @@ def changed(tmp_path):
 
 @pytest.mark.parametrize("kind", ["network", "network-secant"])
 def test_shipped_weights_are_of_the_packaged_car(kind):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        weights = load_weights(kind, model=compile_model(visual=False))
+    weights = load_weights(kind)
+    warn_of_another_car(weights, compile_model(visual=False))  # a warning is an error here
     facts = network.facts(weights)
     assert facts["kind"] == kind and len(facts["data_sha256"]) == 64
     assert facts["command"].startswith("python data_gen/train.py")
@@ -290,10 +289,10 @@ def test_another_car_is_a_warning(changed):
     model = compile_model(visual=False)
     model.numeric("tire_f").data[13] = 1.0
     with pytest.warns(UserWarning, match="trained on another car"):
-        load_weights("network", model=model)
+        warn_of_another_car(load_weights("network"), model)
     file = changed(facts={"car_sha256": "0"})
     with pytest.warns(UserWarning, match="w.safetensors were trained on another car"):
-        load_weights("network", file, model=compile_model(visual=False))
+        warn_of_another_car(load_weights("network", file), compile_model(visual=False), file.name)
 
 
 def test_missing_weights_are_refused(tmp_path):

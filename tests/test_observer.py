@@ -5,7 +5,7 @@ import pytest
 
 from lpvmpc import observer
 from lpvmpc.bicycle import EY, NU, NX, Bicycle, discretise, lpv
-from lpvmpc.vehicle import VehicleParams
+from lpvmpc.model import packaged_car
 
 TS = 0.033
 
@@ -13,7 +13,7 @@ TS = 0.033
 @pytest.fixture(scope="module")
 def model():
     """Discretised model at 15 m/s on a straight, the disturbance as three more inputs."""
-    car = VehicleParams.load()
+    car = packaged_car()
     x = np.zeros(NX)
     x[0] = 15.0
     A, B, c = np.empty((NX, NX)), np.empty((NX, NU)), np.empty(NX)

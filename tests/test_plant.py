@@ -6,6 +6,7 @@ import pytest
 
 from lpvmpc import native
 from lpvmpc.errors import LPVMPCError, ModelError, OptionError
+from lpvmpc.interface import Command
 from lpvmpc.plant import Plant
 from lpvmpc.studies import straight, transient
 from lpvmpc.studies.static import on_slope
@@ -16,7 +17,7 @@ from lpvmpc.studies.steady_state import (
     steady,
 )
 from lpvmpc.studies.study import CarUnderTest
-from lpvmpc.vehicle import GRAVITY, Command
+from lpvmpc.units import GRAVITY
 
 REST = Command(0.0, 0.0)
 

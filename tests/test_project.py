@@ -43,7 +43,7 @@ def test_the_wheel_works_from_another_folder(wheel, tmp_path):
     code = (
         "import lpvmpc; from lpvmpc import VehicleParams, load_scenario;"
         f"assert lpvmpc.__file__.startswith({str(wheel)!r});"
-        "assert VehicleParams.load().m > 1000; assert load_scenario('paper').path.length > 1000"
+        "assert packaged_car().m > 1000; assert load_scenario('paper').path.length > 1000"
     )
     environment = {**os.environ, "PYTHONPATH": str(wheel)}
     subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment, check=True)

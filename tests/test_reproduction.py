@@ -9,10 +9,10 @@ from fake_log import fake_log
 from lpvmpc import batch, bicycle, genetic, sphere, tuning
 from lpvmpc.errors import ControllerError, DataError
 from lpvmpc.metrics import KEYS
+from lpvmpc.model import packaged_car
 from lpvmpc.reproduction import anew, evidence, figures, findings, plan, printed, records, report
 from lpvmpc.reproduction import rest as resting
 from lpvmpc.reproduction.plan import LMPC, OURS, PAPERS, PLAIN
-from lpvmpc.vehicle import VehicleParams
 
 WEIGHTS = {
     OURS: {"q_ey": 80.0, "terminal": 1.0}, PLAIN: {"q_ey": 80.0, "terminal": 0.0},
@@ -102,7 +102,7 @@ def make(study):
 
 def matrices(slips):
     """A and B at some state of a turning car, with some slips."""
-    car = bicycle.Bicycle.of(VehicleParams.load()).simplified(
+    car = bicycle.Bicycle.of(packaged_car()).simplified(
         lags=False, relaxation=False, roll=False, trail=False
     )
     x = np.array([12.0, 0.3, 0.2, 0.1, 0.05, 0.04, 0.0, 0.0, 0.0, 0.0, 0.0])

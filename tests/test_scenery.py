@@ -3,8 +3,8 @@ import numpy as np
 from fake_log import fake_path
 
 from lpvmpc import scenery
+from lpvmpc.model import model_path
 from lpvmpc.path import Path
-from lpvmpc.vehicle import model_path
 
 
 def test_the_scene_keeps_the_vehicles_coordinates():

@@ -7,15 +7,15 @@ import time
 import numpy as np
 import pytest
 
-from lpvmpc.controllers import load_controller
 from lpvmpc.errors import ControllerError, LPVMPCError, OptionError, UnknownNameError
+from lpvmpc.interface import Command
 from lpvmpc.metrics import metrics
+from lpvmpc.names import load_controller
 from lpvmpc.path import Path as Road
 from lpvmpc.plant import Plant
 from lpvmpc.scenario import Scenario
 from lpvmpc.simulation import simulate
 from lpvmpc.speed_profile import SpeedProfile
-from lpvmpc.vehicle import Command
 from lpvmpc.wind import Wind
 
 

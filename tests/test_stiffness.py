@@ -5,6 +5,9 @@ import pytest
 
 from lpvmpc.bicycle import AF, AR, NX, VX
 from lpvmpc.errors import OptionError
+from lpvmpc.interface import Command
+from lpvmpc.model import compile_model, packaged_car
+from lpvmpc.model import tires as coefficients
 from lpvmpc.mpc import LPVMPC
 from lpvmpc.plant import Plant
 from lpvmpc.stiffness import (
@@ -16,12 +19,11 @@ from lpvmpc.stiffness import (
     SecantOracle,
     secant,
 )
-from lpvmpc.vehicle import Command, VehicleParams
 
 
 @pytest.fixture(scope="module")
 def car():
-    return VehicleParams.load()
+    return packaged_car()
 
 
 def prediction(alpha_f=0.0, alpha_r=0.0, n=5):
@@ -66,7 +68,7 @@ def test_the_oracle_gives_the_forces_of_the_plant(car, kappa):
     forces, wheels = plant.axles, plant.wheels
     rows = prediction(np.mean(wheels.slip_angle[:2]), np.mean(wheels.slip_angle[2:]))
     rows[:, 9] = plant.roll
-    oracle, tires = OracleStiffness(car), np.empty((5, 4))
+    oracle, tires = OracleStiffness(car, coefficients(compile_model())), np.empty((5, 4))
     oracle.observe(forces)
     oracle.horizon(None, rows, tires)
     front = tires[0, 0] * rows[0, AF] + tires[0, 1]
@@ -123,7 +125,7 @@ def test_the_network_is_near_the_oracle_in_a_bend(car):
     rows[:, 9] = car.m * car.h * 15.0 * 0.25 / car.K_phi
     learned, true = np.empty((5, 4)), np.empty((5, 4))
     NetworkStiffness(car).horizon(None, rows, learned)
-    OracleStiffness(car).horizon(None, rows, true)
+    OracleStiffness(car, coefficients(compile_model())).horizon(None, rows, true)
     for C, F0, alpha in ((0, 1, 0.04), (2, 3, 0.02)):
         force = true[2, C] * alpha + true[2, F0]
         assert learned[2, C] * alpha + learned[2, F0] == pytest.approx(force, rel=0.05)

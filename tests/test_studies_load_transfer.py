@@ -4,15 +4,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lpvmpc.model import packaged_car
 from lpvmpc.studies import load_transfer, rollover
 from lpvmpc.studies.rollover import Springs
 from lpvmpc.studies.study import CarUnderTest, StudyResult
-from lpvmpc.vehicle import GRAVITY, VehicleParams
+from lpvmpc.units import GRAVITY
 
 
 @pytest.fixture(scope="module")
 def params():
-    return VehicleParams.load()
+    return packaged_car()
 
 
 @pytest.fixture(scope="module")

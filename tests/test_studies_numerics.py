@@ -4,11 +4,11 @@ import mujoco
 import numpy as np
 import pytest
 
+from lpvmpc.interface import Command
 from lpvmpc.plant import Plant
 from lpvmpc.studies import chatter, energy, numerics
 from lpvmpc.studies.energy import Ledger
 from lpvmpc.studies.study import CarUnderTest
-from lpvmpc.vehicle import Command
 
 
 def test_order_of_a_made_up_method():

@@ -4,13 +4,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lpvmpc.model import packaged_car
 from lpvmpc.studies import wind
-from lpvmpc.vehicle import VehicleParams
 
 
 @pytest.fixture(scope="module")
 def params():
-    return VehicleParams.load()
+    return packaged_car()
 
 
 def test_the_steady_state_balances_force_and_moment(params):

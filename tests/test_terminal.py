@@ -5,8 +5,8 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from lpvmpc.bicycle import CORRECTED, EPSI, EY, NU, NX, VX, Bicycle, discretise, lpv
+from lpvmpc.model import packaged_car
 from lpvmpc.terminal import NZ, SPEEDS, cost_to_go
-from lpvmpc.vehicle import VehicleParams
 
 TS = 0.033
 Q = np.array([1.0, 0.0, 0.0, 30.0, 10.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
@@ -15,7 +15,7 @@ R = np.array([5.0, 0.05])
 
 @pytest.fixture(scope="module")
 def params():
-    return VehicleParams.load()
+    return packaged_car()
 
 
 @pytest.mark.parametrize("parts", [{}, {"lags": False, "relaxation": False, "roll": False}])

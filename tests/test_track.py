@@ -117,9 +117,9 @@ def test_a_weights_file_is_driven_and_recorded(run, road, tmp_path, sketch):
 
 
 def test_a_network_of_another_car_is_a_warning(run, road, track, sketch, monkeypatch):
-    from lpvmpc import dataset
+    from lpvmpc import model
 
-    monkeypatch.setattr(dataset, "car_sha256", lambda model: "another")
+    monkeypatch.setattr(model, "car_sha256", lambda model: "another")
     code, _, err = run("--scenario", road)
     assert code == 0 and err.count("\n") == 1
     assert "trained on another car than the one in use" in err

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
+from lpvmpc.model import packaged_car
 from lpvmpc.traction import FRICTION_MIN, RELEASE, SLIP_RATIO, hold
-from lpvmpc.vehicle import VehicleParams
 
 TS, MOST = 0.033, 3.0
 
 
 @pytest.fixture(scope="module")
 def car():
-    return VehicleParams.load()
+    return packaged_car()
 
 
 def held(car, slip, *, allowed=float("inf"), a=2.0, friction=1.0, vx=10.0, r=0.0, wheel=0):

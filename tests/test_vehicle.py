@@ -6,13 +6,14 @@ import pytest
 
 from lpvmpc import tire, vehicle
 from lpvmpc.errors import ModelError, OptionError, UnknownNameError
-from lpvmpc.model import compile_model, numeric
-from lpvmpc.vehicle import GRAVITY, VehicleParams, model_path, models_dir
+from lpvmpc.model import compile_model, model_path, models_dir, numeric, packaged_car
+from lpvmpc.units import GRAVITY
+from lpvmpc.vehicle import VehicleParams
 
 
 @pytest.fixture(scope="module")
 def car():
-    return VehicleParams.load()
+    return packaged_car()
 
 
 def test_mass_and_geometry_are_those_of_table_2(car):

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from lpvmpc import weights_file
-from lpvmpc.controllers import CONTROLLERS, load_controller
+from lpvmpc.controllers import CONTROLLERS
 from lpvmpc.errors import DataError, OptionError, OutputError
 from lpvmpc.formulation import PAPER_WEIGHTS, Weights
+from lpvmpc.names import load_controller
 
 
 def test_what_is_written_is_read_to_the_last_bit(tmp_path):

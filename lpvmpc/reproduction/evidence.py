@@ -18,7 +18,7 @@ from lpvmpc.network import SECANT_INPUTS, load_weights
 from lpvmpc.reproduction import plan, records, rest
 from lpvmpc.reproduction.plan import Case, Entry, Equipment
 from lpvmpc.tire import forces
-from lpvmpc.vehicle import Array, VehicleParams
+from lpvmpc.units import Array
 
 if TYPE_CHECKING:
     from lpvmpc.log import Log
@@ -166,7 +166,7 @@ def on_the_papers_road(equipment: Equipment) -> dict[str, Log]:
 
 def gusts(equipment: Equipment, speeds: Sequence[float], say: Say) -> list[rest.Rest]:
     """Send a gust at every speed, straight on and on a circle."""
-    from lpvmpc.controllers import load_controller
+    from lpvmpc.names import load_controller
     from lpvmpc.plant import Plant
     from lpvmpc.simulation import simulate
 
@@ -222,9 +222,10 @@ def said(kind: str, log: Log, equipment: Equipment) -> Array:
     Ours is given the drive force that the plant measured, and knows that the road is dry.
     """
     from lpvmpc import network
+    from lpvmpc.model import packaged_car
     from lpvmpc.secant_network import SecantNetwork
 
-    car, c = VehicleParams.load(), log.columns
+    car, c = packaged_car(), log.columns
     weights = load_weights(kind, equipment.networks.get(kind))
     if kind == "network-secant":
         inputs = [c[name] for name in SECANT_INPUTS]

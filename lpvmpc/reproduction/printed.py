@@ -20,11 +20,12 @@ from numba import njit
 from lpvmpc.bicycle import CORRECTED, DELTA, EPSI, EY, NU, NX, PRINTED, VX, VY, A, R, lpv, unpack
 from lpvmpc.errors import LPVMPCError
 from lpvmpc.formulation import EY_MAX, PAPER, PAPER_WEIGHTS, SCALE, SLACK_WEIGHTS
+from lpvmpc.interface import Preview, State
 from lpvmpc.mpc import LPVMPC
-from lpvmpc.path import Preview
 from lpvmpc.prediction import bounds
 from lpvmpc.qp import condense
-from lpvmpc.vehicle import GRAVITY, Array, State, VehicleParams
+from lpvmpc.units import GRAVITY, Array
+from lpvmpc.vehicle import VehicleParams
 
 SLIPS = {
     "dt": "x+ = x + A x + B u dt: the period multiplies B u only",
@@ -115,12 +116,11 @@ class Printed(LPVMPC):
     slips: ClassVar[frozenset[str]] = frozenset(SLIPS)
     """Names of the slips; here all of them."""
 
-    def __init__(self) -> None:
+    def __init__(self, car: VehicleParams) -> None:
         """Build the controller, on the weights set by hand for the plain formulation."""
         from lpvmpc.stiffness import ConstantStiffness
 
         self._slips = np.array([name in self.slips for name in SLIPS])
-        car = VehicleParams.load()
         super().__init__(
             car, stiffness=ConstantStiffness(car), weights=PAPER_WEIGHTS, formulation=PAPER
         )

@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from lpvmpc import tuning
-from lpvmpc.controllers import CONTROLLERS, load_controller
+from lpvmpc.controllers import CONTROLLERS
 from lpvmpc.errors import DataError, LPVMPCError
+from lpvmpc.names import load_controller
 from lpvmpc.weights_file import as_dict, read_weights, shipped_file
 
 T = TypeVar("T")

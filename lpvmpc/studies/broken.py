@@ -15,11 +15,12 @@ import numpy as np
 
 from lpvmpc import tire
 from lpvmpc.errors import LPVMPCError, UnknownNameError
-from lpvmpc.model import WHEELS
+from lpvmpc.interface import Command, State
+from lpvmpc.model import WHEELS, model_path
 from lpvmpc.plant import Plant
 from lpvmpc.rollout import DRIVE, STEER, WIND_X, WIND_Y
 from lpvmpc.studies.study import CarUnderTest
-from lpvmpc.vehicle import Array, Command, State, model_path
+from lpvmpc.units import Array
 
 KNUCKLES = (7, 10)
 """Columns of qvel of the two steered hinges."""

@@ -11,10 +11,12 @@ import mujoco
 import numpy as np
 
 from lpvmpc import tire
+from lpvmpc.interface import Command
 from lpvmpc.rollout import DRIVE, SPIN_QVEL, Snapshot
 from lpvmpc.studies import plots
 from lpvmpc.studies.study import CarUnderTest, Limit, Picture, StudyResult, Table
-from lpvmpc.vehicle import GRAVITY, Array, Command, VehicleParams
+from lpvmpc.units import GRAVITY, Array
+from lpvmpc.vehicle import VehicleParams
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

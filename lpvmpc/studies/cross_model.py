@@ -14,11 +14,13 @@ from scipy.optimize import root
 from lpvmpc import bicycle
 from lpvmpc.axle import Axle, axles, lateral_force
 from lpvmpc.bicycle import Bicycle
+from lpvmpc.interface import Command
 from lpvmpc.plant import Plant
 from lpvmpc.studies import multibody, plots
 from lpvmpc.studies.multibody import SPEED
 from lpvmpc.studies.study import CarUnderTest, Limit, Picture, Series, StudyResult, Table
-from lpvmpc.vehicle import Array, Command, VehicleParams
+from lpvmpc.units import Array
+from lpvmpc.vehicle import VehicleParams
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -8,10 +8,11 @@ import mujoco
 import numpy as np
 
 from lpvmpc import native, tire
+from lpvmpc.interface import Command
 from lpvmpc.model import WHEELS, numeric, tires
 from lpvmpc.plant import Plant
 from lpvmpc.rollout import SPIN_QVEL
-from lpvmpc.vehicle import Array, Command
+from lpvmpc.units import Array
 
 SUSPENSION_QPOS, SUSPENSION_QVEL = (7, 10, 13, 15), (6, 9, 12, 14)
 """Columns of the suspension travels fl, fr, rl, rr."""

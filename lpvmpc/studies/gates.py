@@ -12,7 +12,7 @@ from scipy.sparse import csr_matrix
 from lpvmpc import road
 from lpvmpc.cones import Course
 from lpvmpc.path import Path
-from lpvmpc.vehicle import Array
+from lpvmpc.units import Array
 
 LEAD, TAIL = 25.0, 35.0
 """Road before the first and behind the last lane [m]."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from lpvmpc import cones
 from lpvmpc.cones import Course
-from lpvmpc.controllers import load_controller
+from lpvmpc.names import load_controller
 from lpvmpc.path import Path
 from lpvmpc.scenario import Scenario
 from lpvmpc.simulation import simulate
@@ -19,7 +19,8 @@ from lpvmpc.speed_profile import SpeedProfile
 from lpvmpc.studies import gates, plots
 from lpvmpc.studies.gates import FlatPath, Outline
 from lpvmpc.studies.study import CarUnderTest, Limit, Picture, Series, StudyResult, Table
-from lpvmpc.vehicle import GRAVITY, Array, VehicleParams
+from lpvmpc.units import GRAVITY, Array
+from lpvmpc.vehicle import VehicleParams
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

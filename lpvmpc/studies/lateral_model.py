@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from lpvmpc.vehicle import Array, VehicleParams
+from lpvmpc.units import Array
+from lpvmpc.vehicle import VehicleParams
 
 YAW_RATE, LATERAL_ACCELERATION, ROLL = 0, 1, 2
 """Rows of C."""

@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lpvmpc.interface import Command
 from lpvmpc.studies import plots, rollover
 from lpvmpc.studies.rollover import Springs
 from lpvmpc.studies.study import CarUnderTest, Limit, Picture, StudyResult, Table
-from lpvmpc.vehicle import GRAVITY, Array, Command, VehicleParams
+from lpvmpc.units import GRAVITY, Array
+from lpvmpc.vehicle import VehicleParams
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

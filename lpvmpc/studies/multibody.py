@@ -28,7 +28,8 @@ from scipy.integrate import solve_ivp
 
 from lpvmpc import tire
 from lpvmpc.model import compile_model, parameters, tires
-from lpvmpc.vehicle import GRAVITY, Array, VehicleParams
+from lpvmpc.units import GRAVITY, Array
+from lpvmpc.vehicle import VehicleParams
 
 FILE = Path(__file__).parents[1] / "data" / "multibody.json"
 

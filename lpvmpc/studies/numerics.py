@@ -11,15 +11,15 @@ import mujoco
 import numpy as np
 
 from lpvmpc import tire
-from lpvmpc.controllers import load_controller
+from lpvmpc.interface import Command
+from lpvmpc.names import load_controller, load_scenario
 from lpvmpc.plant import Plant
 from lpvmpc.rollout import Snapshot
-from lpvmpc.scenario import load_scenario
 from lpvmpc.simulation import simulate
 from lpvmpc.studies import chatter, energy, plots
 from lpvmpc.studies.chatter import CHATTER, DEFAULT
 from lpvmpc.studies.study import CarUnderTest, Limit, Picture, Series, StudyResult, Table
-from lpvmpc.vehicle import Array, Command
+from lpvmpc.units import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

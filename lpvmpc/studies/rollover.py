@@ -10,9 +10,11 @@ import mujoco
 import numpy as np
 
 from lpvmpc import tire
+from lpvmpc.interface import Command
 from lpvmpc.studies import plots
 from lpvmpc.studies.study import CarUnderTest, Limit, Series, StudyResult
-from lpvmpc.vehicle import GRAVITY, Array, Command, VehicleParams
+from lpvmpc.units import GRAVITY, Array
+from lpvmpc.vehicle import VehicleParams
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from lpvmpc.interface import Command
 from lpvmpc.plant import Plant
 from lpvmpc.studies import plots, suspension
 from lpvmpc.studies.study import (
@@ -19,7 +20,7 @@ from lpvmpc.studies.study import (
     Table,
     relative_error,
 )
-from lpvmpc.vehicle import GRAVITY, Array, Command
+from lpvmpc.units import GRAVITY, Array
 
 METHOD = """\
 - Mass and yaw inertia are measured, not read: the car floats without gravity, is pushed by 1 kN

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from lpvmpc import tire
+from lpvmpc.interface import Command
 from lpvmpc.plant import Plant
 from lpvmpc.studies import plots
 from lpvmpc.studies.study import CarUnderTest, Limit, Picture, Series, StudyResult, Table
-from lpvmpc.vehicle import GRAVITY, Array, Command
+from lpvmpc.units import GRAVITY, Array
 
 METHOD = """\
 - Coast-down (after ISO 10521-1 and EU 70/220): from 35 to 3 m/s without drive or brakes; the

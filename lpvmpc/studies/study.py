@@ -21,7 +21,8 @@ import numpy.typing as npt
 from lpvmpc.errors import UnknownNameError
 from lpvmpc.model import compile_model, parameters, tires
 from lpvmpc.plant import Plant
-from lpvmpc.vehicle import Array, VehicleParams
+from lpvmpc.units import Array
+from lpvmpc.vehicle import VehicleParams
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,7 +10,7 @@ import numpy as np
 from lpvmpc import tire
 from lpvmpc.model import WHEELS, numeric
 from lpvmpc.plant import Plant
-from lpvmpc.vehicle import Array
+from lpvmpc.units import Array
 
 Z, ROLL, PITCH = 2, 3, 4
 """Coordinates of the body within x, y, z, roll, pitch, yaw; four suspension travels follow."""

@@ -13,7 +13,7 @@ from lpvmpc.plant import Plant
 from lpvmpc.rollout import SPIN_QVEL
 from lpvmpc.studies import golden, plots
 from lpvmpc.studies.study import TARGET, CarUnderTest, Limit, Picture, Series, StudyResult, Table
-from lpvmpc.vehicle import GRAVITY, Array
+from lpvmpc.units import GRAVITY, Array
 
 METHOD = """\
 Two benches. The *law* is `lpvmpc.tire` called at given slip and load. The *engine* is the plant

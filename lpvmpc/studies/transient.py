@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from lpvmpc.interface import Command
 from lpvmpc.plant import Plant
 from lpvmpc.studies import plots
 from lpvmpc.studies.lateral_model import (
@@ -20,7 +21,7 @@ from lpvmpc.studies.lateral_model import (
 from lpvmpc.studies.lateral_model import response as linear_response
 from lpvmpc.studies.steady_state import Linear
 from lpvmpc.studies.study import TARGET, CarUnderTest, Limit, Picture, Series, StudyResult, Table
-from lpvmpc.vehicle import Array, Command
+from lpvmpc.units import Array
 
 METHOD = """\
 Lateral transient response after ISO 7401, open loop, drive torque held. The input is always the

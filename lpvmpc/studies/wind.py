@@ -16,7 +16,8 @@ from scipy.integrate import solve_ivp
 
 from lpvmpc import bicycle
 from lpvmpc.bicycle import Bicycle
-from lpvmpc.controllers import load_controller
+from lpvmpc.interface import Command
+from lpvmpc.names import load_controller
 from lpvmpc.path import Path
 from lpvmpc.scenario import Scenario
 from lpvmpc.simulation import simulate
@@ -31,7 +32,8 @@ from lpvmpc.studies.study import (
     Table,
     relative_error,
 )
-from lpvmpc.vehicle import Array, Command, VehicleParams
+from lpvmpc.units import Array
+from lpvmpc.vehicle import VehicleParams
 from lpvmpc.wind import Wind, aero_wrench
 
 if TYPE_CHECKING:
