@@ -1,6 +1,6 @@
 # make track  drive the paper's road: table, metrics, figures and video
 # make test   run the tests
-# make lint   ruff and mypy
+# make lint   ruff, mypy, and which package may import which
 # make clean  remove the environment and what the tools left behind
 #
 # Each target makes .venv and installs the versions of constraints.txt first. The stamps depend on
@@ -23,6 +23,7 @@ test: $(VENV)/.dev egl
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+	$(BIN)/lint-imports
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lpvmpc import cli
 from lpvmpc.errors import OptionError
+from lpvmpc.kit import cli
 
 if TYPE_CHECKING:
-    from lpvmpc.coverage import Coverage
+    from lpvmpc.learn.coverage import Coverage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,15 +50,15 @@ def main(options: Options) -> int:
     if options.out.suffix != ".parquet":
         raise OptionError("--out", str(options.out), "a file name ending in .parquet")
     cli.check_opengl()
-    from lpvmpc import collection, coverage
+    from lpvmpc.learn import collect, coverage
 
-    plan = collection.Plan(samples=options.samples, seed=options.seed, friction=friction, mass=mass)
+    plan = collect.Plan(samples=options.samples, seed=options.seed, friction=friction, mass=mass)
     cli.writable_folder(options.out.parent)
     jobs = options.jobs or cli.cores()
     start = time.perf_counter()
     try:
         with Progress(options.samples) as progress:
-            found = collection.collect(
+            found = collect.collect(
                 plan, options.out, jobs=jobs, resume=options.resume, progress=progress
             )
     except KeyboardInterrupt:

@@ -20,12 +20,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from lpvmpc import cli
 from lpvmpc.errors import LPVMPCError, OptionError
+from lpvmpc.kit import cli
 
 if TYPE_CHECKING:
-    from lpvmpc.dataset import Dataset
-    from lpvmpc.training import Trained
+    from lpvmpc.learn.dataset import Dataset
+    from lpvmpc.learn.train import Trained
 
 File = Annotated[Path | None, tyro.conf.arg(metavar="PATH")]
 Count = Annotated[int | None, tyro.conf.arg(metavar="INT")]
@@ -59,16 +59,17 @@ def main(options: Options) -> int:
     cli.check_number("--seeds", options.seeds, 1, 100)
     cli.check_number("--epochs", options.epochs, 1, 1_000_000)
     cli.check_opengl()
-    from lpvmpc import dataset, tensors
+    from lpvmpc.kit import safetensors
+    from lpvmpc.learn import dataset
 
     try:
-        from lpvmpc import training
+        from lpvmpc.learn import train
     except ImportError as error:
         if error.name != "torch":
             raise
         raise LPVMPCError("Training needs torch; pip install 'lpvmpc[train]' brings it.") from None
 
-    preset = training.preset(options.preset, options.epochs)
+    preset = train.preset(options.preset, options.epochs)
     out = options.out or Path("data") / f"{preset.kind}.safetensors"
     if out.suffix != ".safetensors":
         raise OptionError("--out", str(out), "a file name ending in .safetensors")
@@ -78,12 +79,12 @@ def main(options: Options) -> int:
     cli.writable_folder(out.parent)
     count = options.seeds or (5 if options.preset == "default" else 1)
     seeds = tuple(range(options.seed, options.seed + count))
-    job = training.Job(preset=preset, seeds=seeds)
+    job = train.Job(preset=preset, seeds=seeds)
     checkpoint = out.with_name(out.name + ".checkpoint")
     start = time.perf_counter()
     try:
         with Progress(preset.epochs) as progress:
-            trained = training.train(
+            trained = train.train(
                 data, job, car, checkpoint=checkpoint, resume=options.resume, progress=progress
             )
     except KeyboardInterrupt:
@@ -92,7 +93,7 @@ def main(options: Options) -> int:
     print(f"{len(trained.names)} networks, {preset.epochs} epochs in "
           f"{time.perf_counter() - start:.0f} s")  # fmt: skip
     rows = report(trained, data, also, car, out)
-    tensors.write(out, trained.weights[0].arrays, facts(options, preset.kind, data, rows))
+    safetensors.write(out, trained.weights[0].arrays, facts(options, preset.kind, data, rows))
     checkpoint.unlink(missing_ok=True)
     print(f"Saved {out} and {out.with_suffix('')}-fit/")
     return cli.DONE
@@ -100,7 +101,7 @@ def main(options: Options) -> int:
 
 def check_car(data: Dataset) -> Any:
     """The car's parameters; a line on stderr where the data are of another car."""
-    from lpvmpc.model import car_sha256, compile_model, parameters
+    from lpvmpc.plant.mjcf import car_sha256, compile_model, parameters
 
     model = compile_model(visual=False)
     if data.meta.get("car_sha256") != car_sha256(model):
@@ -110,8 +111,8 @@ def check_car(data: Dataset) -> Any:
 
 def facts(options: Options, kind: str, data: Dataset, rows: list[dict[str, Any]]) -> dict[str, str]:
     """What the weights file says about itself."""
-    from lpvmpc.network import FORMAT
-    from lpvmpc.provenance import versions
+    from lpvmpc.control.stiffness.network import FORMAT
+    from lpvmpc.kit.provenance import versions
 
     kept = {row["set"]: [round(row["C_f"], 4), round(row["C_r"], 4)] for row in rows[:2]}
     # without --resume: a training that was interrupted leaves the same bytes
@@ -134,19 +135,19 @@ def report(
     trained: Trained, data: Dataset, also: Dataset | None, car: Any, out: Path
 ) -> list[dict[str, Any]]:
     """Print and save R2 and relative errors; returns the rows of R2."""
-    from lpvmpc import fit
+    from lpvmpc.learn import scores
 
     folder = cli.writable_folder(out.with_suffix("").with_name(out.stem + "-fit"))
-    rows = fit.score_all(trained, data, car, also)
-    fit.write_csv(folder / "r2.csv", [{**dict.fromkeys(rows[0], ""), **row} for row in rows])
-    kept = fit.predict(trained.weights[0], data, car)
-    slips = fit.by_slip(kept, data, ~trained.names[0][1].train)
-    fit.write_csv(folder / "slip.csv", slips)
-    fit.write_csv(
+    rows = scores.score_all(trained, data, car, also)
+    scores.write_csv(folder / "r2.csv", [{**dict.fromkeys(rows[0], ""), **row} for row in rows])
+    kept = scores.predict(trained.weights[0], data, car)
+    slips = scores.by_slip(kept, data, ~trained.names[0][1].train)
+    scores.write_csv(folder / "slip.csv", slips)
+    scores.write_csv(
         folder / "learning-curve.csv",
         [{"epoch": int(e), "train": a, "test": b} for e, a, b in trained.curve.tolist()],
     )
-    fit.draw(folder, trained, data, car)
+    scores.draw(folder, trained, data, car)
     print_tables(rows, slips)
     return rows
 
@@ -156,7 +157,7 @@ def print_tables(rows: list[dict[str, Any]], slips: list[dict[str, Any]]) -> Non
     from rich.console import Console
     from rich.table import Table
 
-    from lpvmpc import fit
+    from lpvmpc.learn import scores
 
     console = Console(width=80 if not sys.stdout.isatty() else None, highlight=False)
     table = Table(
@@ -168,14 +169,14 @@ def print_tables(rows: list[dict[str, Any]], slips: list[dict[str, Any]]) -> Non
     table.add_column("front", justify="right")
     table.add_column("rear", justify="right")
     names = {"runs": "a quarter of the runs", "random": "random samples"}
-    for line in fit.summary(rows):
+    for line in scores.summary(rows):
         if line["set"] == "train" and line["split"] not in names:
             continue
         cells = (f"{line[k][0]:.4f} ({line[k][1]:.4f})" for k in ("C_f", "C_r"))
         held = names.get(line["split"], line["split"].removeprefix("without "))
         table.add_row(held, {"also": "further data"}.get(line["set"], line["set"]), *cells)
     console.print(table)
-    paper = fit.PAPER_R2
+    paper = scores.PAPER_R2
     print(f"Paper: {paper['train']} train, {paper['test']} test, random split, other labels.")
     table = Table(
         title="Relative error of the secant stiffness on held-out runs",
@@ -186,7 +187,7 @@ def print_tables(rows: list[dict[str, Any]], slips: list[dict[str, Any]]) -> Non
     ranges = dict.fromkeys((row["slip_from_deg"], row["slip_to_deg"]) for row in slips)
     for low, high in ranges:
         cells = []
-        for axle in fit.AXLES:
+        for axle in scores.AXLES:
             found = [r for r in slips if r["axle"] == axle and r["slip_from_deg"] == low]
             for key in ("median_error", "p95_error"):
                 cells.append(f"{100.0 * found[0][key]:.2f} %" if found else "-")

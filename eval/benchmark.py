@@ -18,15 +18,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from lpvmpc import cli
 from lpvmpc.errors import LPVMPCError
-from lpvmpc.log import write_json, write_text
+from lpvmpc.kit import cli
+from lpvmpc.sim.log import write_json, write_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from lpvmpc.ablation import Row, Search
-    from lpvmpc.batch import Run
+    from lpvmpc.bench.cases import Row, Search
+    from lpvmpc.sim.batch import Run
 
 NAME = "benchmark"
 QUICK_OUT = Path("runs/benchmark-quick")
@@ -58,7 +58,8 @@ def main(options: Options) -> int:
     if options.json is not None:
         cli.writable_folder(options.json.parent)
     prepare(options.cache, options.resume)
-    from lpvmpc import ablation, ablation_report
+    from lpvmpc.bench import cases as ablation
+    from lpvmpc.bench import report
 
     jobs = options.jobs or cli.cores()
     quick = options.quick
@@ -74,15 +75,15 @@ def main(options: Options) -> int:
     except KeyboardInterrupt:
         print("Interrupted; --resume goes on from here.", file=sys.stderr)
         return cli.INTERRUPTED
-    text = ablation_report.report(rows, searches, quick=quick, jobs=jobs, picture=f"{NAME}.png")
+    text = report.report(rows, searches, quick=quick, jobs=jobs, picture=f"{NAME}.png")
     print(summary(rows, searches))
     write_text(out / f"{NAME}.md", text)
-    write_text(out / f"{NAME}.csv", ablation_report.as_csv(rows))
-    values = ablation_report.as_json(rows, searches, quick=quick, jobs=jobs)
+    write_text(out / f"{NAME}.csv", report.as_csv(rows))
+    values = report.as_json(rows, searches, quick=quick, jobs=jobs)
     for file in (out / f"{NAME}.json", options.json):
         if file is not None:
             write_json(file, values)
-    ablation_report.draw(rows, out / f"{NAME}.png")
+    report.draw(rows, out / f"{NAME}.png")
     print(f"Saved {out}/ ({', '.join(f'{NAME}.{kind}' for kind in ('md', 'csv', 'json', 'png'))})")
     return cli.DONE
 
@@ -112,7 +113,7 @@ def results(cache: Path) -> list[Path]:
 
 def driver(jobs: int, cache: Path, progress: Progress) -> Any:
     """Makes a function that drives runs under a title, as `ablation` wants it."""
-    from lpvmpc.batch import drive_all
+    from lpvmpc.sim.batch import drive_all
 
     def under(title: str) -> Any:
         def drive(runs: Sequence[Run]) -> list[dict[str, Any]]:
@@ -126,14 +127,14 @@ def driver(jobs: int, cache: Path, progress: Progress) -> Any:
 
 def summary(rows: Sequence[Row], searches: Mapping[bool, Search]) -> str:
     """What is printed, at 80 columns: the summary, the promises, the sentences."""
-    from lpvmpc import ablation_report
-    from lpvmpc.verdict import Table, bars, sentences
+    from lpvmpc.bench import report
+    from lpvmpc.bench.verdict import Table, bars, sentences
 
     found = bars(Table(rows))
     parts = [
-        ablation_report.summary_table(Table(rows)),
-        ablation_report.bars_table(found),
-        ablation_report.bars_sentence(found),
+        report.summary_table(Table(rows)),
+        report.bars_table(found),
+        report.bars_sentence(found),
         "",
         *sentences(Table(rows), dict(searches)),
     ]

@@ -16,14 +16,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from lpvmpc import cli
 from lpvmpc.errors import LPVMPCError, OptionError, RenderError
-from lpvmpc.log import write_json
-from lpvmpc.provenance import commit, machine
+from lpvmpc.kit import cli
+from lpvmpc.kit.provenance import commit, machine
+from lpvmpc.sim.log import write_json
 
 if TYPE_CHECKING:
     from lpvmpc.interface import Controller
-    from lpvmpc.log import Log
+    from lpvmpc.sim.log import Log
 
 Number = Annotated[float | None, tyro.conf.arg(metavar="FLOAT")]
 File = Annotated[Path | None, tyro.conf.arg(metavar="PATH")]
@@ -64,7 +64,9 @@ def main(options: Options) -> int:
     """Drive, print, save; returns the exit code."""
     check(options)
     cli.check_opengl()
-    from lpvmpc import Plant, comparison, load_scenario, metrics, simulate
+    from lpvmpc import Plant, load_scenario, simulate
+    from lpvmpc.picture import comparison
+    from lpvmpc.sim.metrics import metrics
 
     what = {name: getattr(options, name)
             for name in ("wind_scale", "friction", "v_max", "ay_max", "grip")}  # fmt: skip
@@ -129,7 +131,7 @@ def show(runs: dict[str, Log]) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    from lpvmpc import comparison
+    from lpvmpc.picture import comparison
 
     console = Console(width=80 if not sys.stdout.isatty() else None, highlight=False)
     header, rows = comparison.summary(runs)
@@ -152,7 +154,7 @@ def show(runs: dict[str, Log]) -> None:
 def film(runs: dict[str, Log], video: Path) -> None:
     """Make the video; a machine that cannot draw is a warning."""
     try:
-        from lpvmpc.comparison_video import compare_video
+        from lpvmpc.picture.video.comparison import compare_video
 
         compare_video(runs, video)
     except RenderError as error:

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from lpvmpc import cli
 from lpvmpc.errors import UnknownNameError
-from lpvmpc.log import write_json, write_text
+from lpvmpc.kit import cli
+from lpvmpc.sim.log import write_json, write_text
 
 if TYPE_CHECKING:
     from lpvmpc.studies.study import StudyResult
@@ -53,7 +53,7 @@ def main(options: Options) -> int:
     cli.check_number("--jobs", options.jobs, 0, 1024)
     cli.check_opengl()
     from lpvmpc.studies import report, runner
-    from lpvmpc.studies.broken import BROKEN
+    from lpvmpc.studies.reference.broken_cars import BROKEN
     from lpvmpc.studies.study import STUDIES
 
     for name in options.studies:

@@ -19,12 +19,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from lpvmpc import cli
-from lpvmpc.log import write_json, write_text
+from lpvmpc.kit import cli
+from lpvmpc.sim.log import write_json, write_text
 
 if TYPE_CHECKING:
-    from lpvmpc.reproduction.evidence import Evidence
-    from lpvmpc.reproduction.records import Tuning
+    from lpvmpc.paper.measurements import Evidence
+    from lpvmpc.paper.records import Tuning
 
 NAME = "paper"
 QUICK_OUT = Path("runs/reproduce-quick")
@@ -59,13 +59,13 @@ def main(options: Options) -> int:
     if options.json is not None:
         cli.writable_folder(options.json.parent)
     jobs, start = options.jobs or cli.cores(), time.perf_counter()
-    from lpvmpc.reproduction import evidence, figures, findings, report
+    from lpvmpc.paper import figures, findings, measurements, report
 
     try:
         with Progress() as say:
             networks = retrain(cache, jobs, options.quick, say) if options.retrain else None
             tunings = retune(cache, jobs, options.quick, say) if options.retune else None
-            found = evidence.gather(
+            found = measurements.gather(
                 quick=options.quick, jobs=jobs, cache=cache, say=say, tunings=tunings,
                 networks=networks,
             )  # fmt: skip
@@ -90,9 +90,9 @@ def main(options: Options) -> int:
 
 def retune(cache: Path, jobs: int, quick: bool, say: Progress) -> dict[str, Tuning]:
     """Every controller's weights tuned anew; a quick look does a handful of evaluations."""
-    from lpvmpc import tuning
-    from lpvmpc.controllers import CONTROLLERS
-    from lpvmpc.reproduction import anew, records
+    from lpvmpc.control.registry import CONTROLLERS
+    from lpvmpc.paper import records, retrain
+    from lpvmpc.tune import tuning
 
     found = {}
     for name in CONTROLLERS:
@@ -103,7 +103,7 @@ def retune(cache: Path, jobs: int, quick: bool, say: Progress) -> dict[str, Tuni
                 controller=name, scenarios=("tuning-b",), generations=2, population=4
             )
             folder = cache / "tuning-quick" / name
-        one = records.read_tuning(anew.tune(task, folder, jobs, say))
+        one = records.read_tuning(retrain.tune(task, folder, jobs, say))
         assert one is not None  # it was written just now
         found[name] = one
     return found
@@ -111,11 +111,11 @@ def retune(cache: Path, jobs: int, quick: bool, say: Progress) -> dict[str, Tuni
 
 def retrain(cache: Path, jobs: int, quick: bool, say: Progress) -> dict[str, Path]:
     """Both networks trained anew; a quick look passes through the data a few times only."""
-    from lpvmpc.reproduction import anew
+    from lpvmpc.paper import retrain
 
     if quick:
-        return anew.train(cache / "training-quick", jobs, say, epochs=40)
-    return anew.train(cache / "training", jobs, say)
+        return retrain.train(cache / "training-quick", jobs, say, epochs=40)
+    return retrain.train(cache / "training", jobs, say)
 
 
 def summary(found: Evidence, report: Any, findings: Any) -> str:

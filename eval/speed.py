@@ -18,14 +18,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from lpvmpc import cli
 from lpvmpc.errors import RenderError
-from lpvmpc.log import write_json, write_text
-from lpvmpc.provenance import commit, machine, versions
-from lpvmpc.report import markdown_table
+from lpvmpc.kit import cli
+from lpvmpc.kit.markdown import markdown_table
+from lpvmpc.kit.provenance import commit, machine, versions
+from lpvmpc.sim.log import write_json, write_text
 
 if TYPE_CHECKING:
-    from lpvmpc.speed import Figure
+    from lpvmpc.bench.speed import Figure
 
 TRACK = Path(__file__).with_name("track.py")
 
@@ -71,7 +71,7 @@ def main(options: Options) -> int:
     if options.json is not None:
         cli.writable_folder(options.json.parent)
     rounds = 1 if options.quick else options.rounds
-    from lpvmpc.speed_processes import Load
+    from lpvmpc.bench.speed_processes import Load
 
     meanwhile = Load()
     sections = measure(rounds, options.quick)
@@ -90,7 +90,8 @@ def main(options: Options) -> int:
 
 def measure(rounds: int, quick: bool) -> list[tuple[str, list[Figure]]]:
     """All figures, under the titles of their tables."""
-    from lpvmpc import load_scenario, speed, speed_processes
+    from lpvmpc import load_scenario
+    from lpvmpc.bench import speed, speed_processes
 
     def say(what: str) -> None:
         if sys.stderr.isatty():

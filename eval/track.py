@@ -20,15 +20,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from lpvmpc import cli
 from lpvmpc.errors import LPVMPCError, OutputError, RenderError
-from lpvmpc.log import write_json
-from lpvmpc.provenance import commit, machine
+from lpvmpc.kit import cli
+from lpvmpc.kit.provenance import commit, machine
+from lpvmpc.sim.log import write_json
 
 if TYPE_CHECKING:
-    from lpvmpc.log import Log
-    from lpvmpc.path import Path as Road
-    from lpvmpc.plant import Plant
+    from lpvmpc.plant.plant import Plant
+    from lpvmpc.road.path import Path as Road
+    from lpvmpc.sim.log import Log
 
 Number = Annotated[float | None, tyro.conf.arg(metavar="FLOAT")]
 File = Annotated[Path | None, tyro.conf.arg(metavar="PATH")]
@@ -100,7 +100,8 @@ def main(options: Options) -> int:
     """Drive, print, save; returns the exit code."""
     check(options)
     cli.check_opengl()
-    from lpvmpc import Plant, load_controller, load_scenario, metrics, simulate
+    from lpvmpc import Plant, load_controller, load_scenario, simulate
+    from lpvmpc.sim.metrics import metrics
 
     scenario = load_scenario(options.scenario, **scenario_options(options))
     own = ":" in options.controller
@@ -173,7 +174,7 @@ def controller_options(options: Options, own: bool) -> dict[str, Any]:
                                   f"{options.controller!r} is your own: it has only what its "
                                   "constructor sets.")  # fmt: skip
         return {}
-    from lpvmpc.weights_file import read_weights
+    from lpvmpc.control.weights_file import read_weights
 
     known: dict[str, Any] = {"delay": options.delay, "stiffness": options.stiffness}
     if options.weights is not None:
@@ -186,8 +187,8 @@ def warn_of_another_car(controller: Any, plant: Plant) -> None:
     kind = getattr(getattr(controller, "stiffness", None), "name", None)
     if kind not in ("network", "network-secant"):
         return
-    from lpvmpc.names import warn_of_another_car as check
-    from lpvmpc.network import load_weights
+    from lpvmpc.control.stiffness.network import load_weights
+    from lpvmpc.sim.names import warn_of_another_car as check
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -252,7 +253,7 @@ class Viewer:
         import mujoco
         from mujoco import viewer
 
-        from lpvmpc import scenery
+        from lpvmpc.picture.video import scenery
 
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", glfw.GLFWError)  # said in our own words instead
@@ -298,7 +299,7 @@ def save(options: Options, log: Log, result: dict[str, Any], out: Path) -> bool:
     whole = log.meta["reason"] != "interrupted"
     if whole and len(log) > 1:
         try:
-            from lpvmpc.figures import save_all
+            from lpvmpc.picture.figures import save_all
 
             save_all(log, out / "figures")
         except KeyboardInterrupt:  # the figures are given up, the measurements are not
@@ -320,7 +321,7 @@ def save(options: Options, log: Log, result: dict[str, Any], out: Path) -> bool:
 def film(log: Log, video: Path) -> bool:
     """Make the video; False after an interrupt. A machine that cannot draw is a warning."""
     try:
-        from lpvmpc.render import render_video
+        from lpvmpc.picture.video.render import render_video
 
         render_video(log, video)
     except RenderError as error:

@@ -18,13 +18,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from lpvmpc import cli
 from lpvmpc.errors import OptionError
-from lpvmpc.log import write_json
+from lpvmpc.kit import cli
+from lpvmpc.sim.log import write_json
 
 if TYPE_CHECKING:
-    from lpvmpc.search_state import State
-    from lpvmpc.tuning import Stage, Tuned
+    from lpvmpc.tune.checkpoint import State
+    from lpvmpc.tune.tuning import Stage, Tuned
 
 Count = Annotated[int | None, tyro.conf.arg(metavar="INT")]
 File = Annotated[Path | None, tyro.conf.arg(metavar="PATH")]
@@ -75,7 +75,9 @@ def main(options: Options) -> int:
 
 def tune(options: Options) -> int:
     """Tune a controller and show what it has brought; returns the exit code."""
-    from lpvmpc import batch, load_scenario, tuning, tuning_report
+    from lpvmpc import load_scenario
+    from lpvmpc.sim import batch
+    from lpvmpc.tune import tuning, tuning_report
 
     chosen = {name: getattr(options, name) for name in ("generations", "population")}
     task = tuning.Task(
@@ -177,7 +179,7 @@ def print_result(
     from rich.console import Console
     from rich.table import Table as Rows
 
-    from lpvmpc.tuning_report import numbers
+    from lpvmpc.tune.tuning_report import numbers
 
     console = Console(width=80 if not sys.stdout.isatty() else None, highlight=False)
     weights = Rows(title="Weights", title_style="bold", title_justify="left", expand=False)
@@ -204,7 +206,7 @@ def show_sphere(options: Options) -> int:
     out = cli.writable_folder(options.out or Path("docs/results"))
     if options.json is not None:
         cli.writable_folder(options.json.parent)
-    from lpvmpc import sphere, sphere_report
+    from lpvmpc.tune import sphere, sphere_report
 
     def say(what: str) -> None:
         if sys.stderr.isatty():

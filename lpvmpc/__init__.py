@@ -10,45 +10,43 @@ The public names below are imported when first used, so that `import lpvmpc` sta
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from lpvmpc import _cache
+from lpvmpc import _numba_cache
 from lpvmpc._version import __version__
 
-# Eager, because the function and its module share one name: importing lpvmpc.metrics later would
-# otherwise put the module in the function's place.
-from lpvmpc.metrics import metrics
-
 if TYPE_CHECKING:
-    from lpvmpc.controllers import CONTROLLERS
+    from lpvmpc.car.params import VehicleParams
+    from lpvmpc.control.lpv_mpc import LPVMPC
+    from lpvmpc.control.registry import CONTROLLERS
     from lpvmpc.errors import LPVMPCError
     from lpvmpc.interface import Command, Preview, State
-    from lpvmpc.mpc import LPVMPC
-    from lpvmpc.names import load_controller, load_scenario
-    from lpvmpc.path import Path
-    from lpvmpc.plant import Plant
-    from lpvmpc.scenario import SCENARIOS, Scenario
-    from lpvmpc.simulation import Log, simulate
-    from lpvmpc.speed_profile import SpeedProfile
-    from lpvmpc.vehicle import VehicleParams
-    from lpvmpc.wind import Wind
+    from lpvmpc.plant.plant import Plant
+    from lpvmpc.road.path import Path
+    from lpvmpc.road.scenario import SCENARIOS, Scenario
+    from lpvmpc.road.speed_profile import SpeedProfile
+    from lpvmpc.road.wind import Wind
+    from lpvmpc.sim.loop import Log, simulate
+    from lpvmpc.sim.metrics import metrics
+    from lpvmpc.sim.names import load_controller, load_scenario
 
 _HOME = {
-    "CONTROLLERS": "controllers",
+    "CONTROLLERS": "control.registry",
     "Command": "interface",
-    "LPVMPC": "mpc",
+    "LPVMPC": "control.lpv_mpc",
     "LPVMPCError": "errors",
-    "Log": "simulation",
-    "Path": "path",
-    "Plant": "plant",
+    "Log": "sim.loop",
+    "Path": "road.path",
+    "Plant": "plant.plant",
     "Preview": "interface",
-    "SCENARIOS": "scenario",
-    "Scenario": "scenario",
-    "SpeedProfile": "speed_profile",
+    "SCENARIOS": "road.scenario",
+    "Scenario": "road.scenario",
+    "SpeedProfile": "road.speed_profile",
     "State": "interface",
-    "VehicleParams": "vehicle",
-    "Wind": "wind",
-    "load_controller": "names",
-    "load_scenario": "names",
-    "simulate": "simulation",
+    "VehicleParams": "car.params",
+    "Wind": "road.wind",
+    "load_controller": "sim.names",
+    "load_scenario": "sim.names",
+    "metrics": "sim.metrics",
+    "simulate": "sim.loop",
 }
 
 __all__ = [
@@ -73,7 +71,7 @@ __all__ = [
     "simulate",
 ]
 
-_cache.place_numba_cache()
+_numba_cache.place_numba_cache()
 
 
 def __getattr__(name: str) -> object:

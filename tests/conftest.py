@@ -8,12 +8,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from lpvmpc import cli
 from lpvmpc.interface import State
-from lpvmpc.path import Path as Road
-from lpvmpc.plant import Wheels
-from lpvmpc.scenario import Scenario
-from lpvmpc.speed_profile import SpeedProfile
+from lpvmpc.kit import cli
+from lpvmpc.plant.plant import Wheels
+from lpvmpc.road.path import Path as Road
+from lpvmpc.road.scenario import Scenario
+from lpvmpc.road.speed_profile import SpeedProfile
 
 ROOT = Path(__file__).parents[1]
 
@@ -38,7 +38,7 @@ def straight():
 
 @pytest.fixture(scope="session")
 def plant():
-    from lpvmpc.plant import Plant
+    from lpvmpc.plant.plant import Plant
 
     return Plant()
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from lpvmpc.model import model_path
-from lpvmpc.path import Path
+from lpvmpc.plant.mjcf import model_path
+from lpvmpc.road.path import Path
 
 TS = 0.033
 NP = 10

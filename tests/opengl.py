@@ -3,7 +3,7 @@
 import pytest
 
 from lpvmpc.errors import RenderError
-from lpvmpc.stage import gl_context
+from lpvmpc.picture.video.stage import gl_context
 
 
 def has_opengl():

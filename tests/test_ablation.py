@@ -3,10 +3,12 @@ import json
 
 import pytest
 
-from lpvmpc import ablation, ablation_report, verdict
-from lpvmpc.ablation import CASES, CHARGE, GRIPS, MODELS, PLAIN, Row, Search
-from lpvmpc.metrics import KEYS
-from lpvmpc.verdict import Table, bars, sentences
+from lpvmpc.bench import cases as ablation
+from lpvmpc.bench import report as ablation_report
+from lpvmpc.bench import verdict
+from lpvmpc.bench.cases import CASES, CHARGE, GRIPS, MODELS, PLAIN, Row, Search
+from lpvmpc.bench.verdict import Table, bars, sentences
+from lpvmpc.sim.metrics import KEYS
 
 SEARCHES = {
     True: Search(cost={0.7: 0.004, 0.8: 0.003, 0.9: 0.005}, lost={0.7: 0, 0.8: 0, 0.9: 1}),

@@ -12,15 +12,9 @@ from functools import cache
 import pytest
 from references import ay_peak
 
-from lpvmpc import (
-    LPVMPC,
-    Plant,
-    load_controller,
-    load_scenario,
-    metrics,
-    simulate,
-)
-from lpvmpc.reproduction import rest
+from lpvmpc import LPVMPC, Plant, load_controller, load_scenario, simulate
+from lpvmpc.paper import steering_at_rest
+from lpvmpc.sim.metrics import metrics
 
 DRIVE_AND_WRITE = """
 import sys
@@ -94,11 +88,12 @@ def test_every_road_is_driven_as_planned(name, grip):
 
 
 @pytest.mark.parametrize("turning", [False, True], ids=["straight", "circle"])
-@pytest.mark.parametrize("vx", rest.SPEEDS)
+@pytest.mark.parametrize("vx", steering_at_rest.SPEEDS)
 def test_the_steering_comes_to_rest_at_every_speed(plant, vx, turning):
     """No limit cycle: a gust pushes the car off the line, then nothing is left to correct."""
     # What is left 4 s after the gust was 1e-5 rad: the slowest mode decays with half a second.
-    result = rest.of(simulate(plant, LPVMPC(plant.params), rest.scenario(vx, turning)), vx, turning)
+    log = simulate(plant, LPVMPC(plant.params), steering_at_rest.scenario(vx, turning))
+    result = steering_at_rest.of(log, vx, turning)
     assert result.ok, result
 
 

@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from lpvmpc import axle, tire
-from lpvmpc.model import compile_model, packaged_car, tires
+from lpvmpc.car import axle, tire
+from lpvmpc.plant.mjcf import compile_model, packaged_car, tires
 from lpvmpc.units import GRAVITY
 
 

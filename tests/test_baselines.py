@@ -5,13 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from lpvmpc.bicycle import CORRECTED, Bicycle, lpv
-from lpvmpc.bicycle import NU as FULL_NU
-from lpvmpc.bicycle import NX as FULL_NX
-from lpvmpc.controllers import CONTROLLERS
-from lpvmpc.errors import OptionError
-from lpvmpc.formulation import UNITS
-from lpvmpc.geometric import (
+from lpvmpc.car.bicycle import CORRECTED, Bicycle, lpv
+from lpvmpc.car.bicycle import NU as FULL_NU
+from lpvmpc.car.bicycle import NX as FULL_NX
+from lpvmpc.control.formulation import UNITS
+from lpvmpc.control.geometric import (
     PurePursuit,
     PurePursuitWeights,
     Stanley,
@@ -19,16 +17,17 @@ from lpvmpc.geometric import (
     pursuit_angle,
     stanley_angle,
 )
+from lpvmpc.control.lmpc import LMPC, LMPCWeights, lateral
+from lpvmpc.control.pid import PIDGains, SpeedPID
+from lpvmpc.control.qp import QPResult
+from lpvmpc.control.tracker import BRAKING
+from lpvmpc.control.weights_file import shipped_file
+from lpvmpc.errors import OptionError
 from lpvmpc.interface import State
-from lpvmpc.lmpc import LMPC, LMPCWeights, lateral
-from lpvmpc.model import packaged_car
-from lpvmpc.names import load_controller
-from lpvmpc.path import Path as Road
-from lpvmpc.pid import PIDGains, SpeedPID
-from lpvmpc.qp import QPResult
-from lpvmpc.speed_profile import SpeedProfile
-from lpvmpc.tracker import BRAKING
-from lpvmpc.weights_file import shipped_file
+from lpvmpc.plant.mjcf import packaged_car
+from lpvmpc.road.path import Path as Road
+from lpvmpc.road.speed_profile import SpeedProfile
+from lpvmpc.sim.names import load_controller
 
 TS = 0.033
 BASELINES = {"lmpc-pso-pid": LMPC, "stanley": Stanley, "pure-pursuit": PurePursuit}
@@ -307,7 +306,7 @@ def test_a_refused_solve_follows_the_plan_and_then_brakes(car):
 
 @pytest.mark.parametrize("name", BASELINES)
 def test_each_baseline_is_known_by_its_name(name):
-    controller = CONTROLLERS[name](delay=1)
+    controller = load_controller(name, delay=1)
     assert type(controller) is BASELINES[name] and controller.name == name
     assert controller.weights == load_controller(name).weights
     if not shipped_file(name).exists():

@@ -10,10 +10,10 @@ import time
 import numpy as np
 import pytest
 
-from lpvmpc import batch
-from lpvmpc.batch import Run, drive_all
 from lpvmpc.errors import LPVMPCError, OptionError
-from lpvmpc.metrics import KEYS
+from lpvmpc.sim import batch
+from lpvmpc.sim.batch import Run, drive_all
+from lpvmpc.sim.metrics import KEYS
 
 NUMBERS = [key for key in KEYS if key not in ("step_time_us", "wall_s", "realtime_factor")]
 
@@ -190,7 +190,7 @@ def test_without_ray_one_sentence_says_how_to_get_it(road, monkeypatch):
 
 LONG = """
 import sys
-from lpvmpc.batch import Run, drive_all
+from lpvmpc.sim.batch import Run, drive_all
 if __name__ == "__main__":
     runs = [Run(scenario=sys.argv[1], scenario_options={"v_max": v}) for v in (20.0, 2.0)]
     runs += [Run(scenario="circuit", seed=seed) for seed in range(9)]

@@ -6,8 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lpvmpc import ablation, ablation_report, batch
-from lpvmpc.ablation import Case
+from lpvmpc.bench import cases as ablation
+from lpvmpc.bench import report as ablation_report
+from lpvmpc.bench.cases import Case
+from lpvmpc.sim import batch
 
 SCRIPT = Path(__file__).parents[1] / "eval" / "benchmark.py"
 OUTPUT = ("benchmark.csv", "benchmark.json", "benchmark.md", "benchmark.png")

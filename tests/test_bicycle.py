@@ -5,8 +5,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from lpvmpc import bicycle
-from lpvmpc.bicycle import (
+from lpvmpc.car import bicycle
+from lpvmpc.car.bicycle import (
     AF,
     AR,
     CORRECTED,
@@ -23,7 +23,7 @@ from lpvmpc.bicycle import (
     A,
     R,
 )
-from lpvmpc.model import packaged_car
+from lpvmpc.plant.mjcf import packaged_car
 
 
 @pytest.fixture(scope="module")

@@ -3,8 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from lpvmpc import centreline
 from lpvmpc.errors import OptionError, PathError
+from lpvmpc.road import centreline
 
 ANGLE = np.arange(0.0, 2 * math.pi, 0.05)
 OVAL = np.column_stack([80.0 * np.cos(ANGLE), 50.0 * np.sin(ANGLE)])

@@ -7,8 +7,8 @@ from typing import Literal
 
 import pytest
 
-from lpvmpc import cli
 from lpvmpc.errors import LPVMPCError, OptionError, OutputError
+from lpvmpc.kit import cli
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lpvmpc import collection, coverage, dataset
-from lpvmpc.collection import Plan, collect
 from lpvmpc.errors import DataError, LPVMPCError, OptionError, OutputError
+from lpvmpc.learn import collect as collection
+from lpvmpc.learn import coverage, dataset
+from lpvmpc.learn.collect import Plan, collect
 
 SCRIPT = Path(__file__).parents[1] / "data_gen" / "collect.py"
 

@@ -20,7 +20,7 @@ def road(tmp_path):
 
 
 def test_two_controllers_are_driven_and_laid_side_by_side(run, road, monkeypatch):
-    from lpvmpc import comparison
+    from lpvmpc.picture import comparison
 
     monkeypatch.setattr(comparison, "DPI", 30)
     code, out, err = run("--controllers", "stanley", "pure-pursuit", "--scenario", road,

@@ -6,8 +6,9 @@ import pytest
 from fake_log import fake_log
 from opengl import needs_opengl
 
-from lpvmpc import comparison, comparison_video
 from lpvmpc.errors import LPVMPCError, OptionError, OutputError
+from lpvmpc.picture import comparison
+from lpvmpc.picture.video import comparison as comparison_video
 
 WIDTH, HEIGHT = 96, 64
 

@@ -5,10 +5,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from lpvmpc import dataset, manoeuvres
-from lpvmpc.dataset import ALPHA_LARGE, ALPHA_SMALL, COLUMNS, secant_stiffness
 from lpvmpc.errors import DataError
-from lpvmpc.model import car_sha256, compile_model
+from lpvmpc.learn import dataset, manoeuvres
+from lpvmpc.learn.dataset import ALPHA_LARGE, ALPHA_SMALL, COLUMNS, secant_stiffness
+from lpvmpc.plant.mjcf import car_sha256, compile_model
 
 
 @pytest.fixture(scope="module")

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from fake_log import fake_log
 
-from lpvmpc import figures
 from lpvmpc.errors import OutputError
-from lpvmpc.path_figure import zooms
+from lpvmpc.picture import figures
+from lpvmpc.picture.path_figure import zooms
 
 NAMES = ["speed_wind", "path", "commands", "errors", "computation_time", "tires", "gg"]
 

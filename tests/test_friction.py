@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from lpvmpc.friction import FRICTION_MAX, FRICTION_MIN, FrictionObserver
-from lpvmpc.model import packaged_car
+from lpvmpc.control.stiffness.friction import FRICTION_MAX, FRICTION_MIN, FrictionObserver
+from lpvmpc.plant.mjcf import packaged_car
 
 TS = 0.033
 

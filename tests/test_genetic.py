@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lpvmpc import genetic
 from lpvmpc.errors import OptionError, UnknownNameError
-from lpvmpc.genetic import Settings, minimise, wheel
+from lpvmpc.tune import genetic
+from lpvmpc.tune.genetic import Settings, minimise, wheel
 
 LOWER, UPPER = [-2.0, 0.0], [2.0, 8.0]
 
@@ -215,8 +215,9 @@ def test_it_knows_nothing_of_cars():
     import ast
     from pathlib import Path
 
-    for name in ("genetic", "pso", "search", "search_state"):
+    for name in ("genetic", "pso", "search", "checkpoint"):
         tree = ast.parse(Path(genetic.__file__).with_name(f"{name}.py").read_text())
         imported = {n.module for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
         ours = {module for module in imported if module and module.startswith("lpvmpc")}
-        assert ours <= {"lpvmpc.errors", "lpvmpc.search", "lpvmpc.search_state"}
+        own = {"lpvmpc.tune.search", "lpvmpc.tune.checkpoint"}
+        assert ours <= {"lpvmpc.errors", "lpvmpc.units"} | own

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from fake_log import fake_path
 
-from lpvmpc.hud import Hud, _number
+from lpvmpc.picture.video.hud import Hud, _number
 
 
 @pytest.fixture

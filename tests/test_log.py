@@ -6,8 +6,8 @@ import pytest
 
 from lpvmpc.errors import OutputError
 from lpvmpc.interface import Command
-from lpvmpc.log import MOTION, PER_WHEEL, WHEELS, write_json, write_table, write_text
-from lpvmpc.simulation import simulate
+from lpvmpc.sim.log import MOTION, PER_WHEEL, WHEELS, write_json, write_table, write_text
+from lpvmpc.sim.loop import simulate
 
 
 class Noisy:

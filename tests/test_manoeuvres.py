@@ -3,10 +3,11 @@ import math
 import numpy as np
 import pytest
 
-from lpvmpc import manoeuvres, native
 from lpvmpc.errors import OptionError
 from lpvmpc.interface import Command
-from lpvmpc.manoeuvres import ALPHA_MAX, KINDS, ROWS, VX_HIGH, VX_LOW, drive, steer_for
+from lpvmpc.learn import manoeuvres
+from lpvmpc.learn.manoeuvres import ALPHA_MAX, KINDS, ROWS, VX_HIGH, VX_LOW, drive, steer_for
+from lpvmpc.plant import callbacks
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -27,15 +28,15 @@ def test_recorded_rows_stay_in_the_domain(plant, kind):
     for seed in range(3):
         for row in drive(plant, kind, np.random.default_rng([seed, 9]), friction=0.6):
             assert VX_LOW <= row.state.vx <= VX_HIGH + 1.0
-            slips = row.outputs[[native.ALPHA_F, native.ALPHA_R]]
+            slips = row.outputs[[callbacks.ALPHA_F, callbacks.ALPHA_R]]
             assert np.abs(slips).max() <= ALPHA_MAX
-            ratios = row.outputs[native.SLIP_RATIO : native.SLIP_RATIO + 4]
+            ratios = row.outputs[callbacks.SLIP_RATIO : callbacks.SLIP_RATIO + 4]
             assert np.abs(ratios).max() <= manoeuvres.SLIP_RATIO_MAX * 0.6
 
 
 def test_friction_reaches_the_tires(plant):
     row = drive(plant, "ramp-steer", np.random.default_rng(1), friction=0.5)[0]
-    mu = row.outputs[native.MU : native.MU + 4]
+    mu = row.outputs[callbacks.MU : callbacks.MU + 4]
     assert np.all((mu > 0.4 * plant.params.mu) & (mu < 0.6 * plant.params.mu))
 
 
@@ -76,7 +77,7 @@ def test_wind_blows_from_left_to_right(plant):
     for seed in range(20):
         rows = drive(plant, "ramp-steer", np.random.default_rng([seed, 6]), friction=1.0)
         if abs(rows[0].wind) > 10.0:
-            assert rows[0].wind * rows[0].outputs[native.AERO_FY] < 0.0
+            assert rows[0].wind * rows[0].outputs[callbacks.AERO_FY] < 0.0
             return
     pytest.fail("no run with wind among 20")
 
@@ -95,9 +96,9 @@ def test_a_car_that_spins_or_stops_leaves_the_domain(plant):
     assert not manoeuvres.leaves_domain(state, quiet, 1.0)
     assert manoeuvres.leaves_domain(state._replace(vx=1.0), quiet, 1.0)
     spinning = quiet.copy()
-    spinning[native.SLIP_RATIO + 1] = 0.2
+    spinning[callbacks.SLIP_RATIO + 1] = 0.2
     assert manoeuvres.leaves_domain(state, spinning, 1.0)
     sliding = quiet.copy()
-    sliding[native.ALPHA_R] = -0.3
+    sliding[callbacks.ALPHA_R] = -0.3
     assert manoeuvres.leaves_domain(state, sliding, 1.0)
     assert math.isfinite(state.ay)

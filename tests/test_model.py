@@ -2,9 +2,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from lpvmpc import native
 from lpvmpc.errors import ModelError
-from lpvmpc.model import WHEELS, check_model, compile_model, model_path
+from lpvmpc.plant import callbacks
+from lpvmpc.plant.mjcf import WHEELS, check_model, compile_model, model_path
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +74,7 @@ def test_what_is_drawn_has_no_mass_and_no_contact(model):
 def test_the_drawing_does_not_change_the_motion():
     ends = []
     for visual in (False, True):
-        native.install()
+        callbacks.install()
         model = compile_model(visual=visual)
         data = mujoco.MjData(model)
         mujoco.mj_resetDataKeyframe(model, data, model.key("straight_15").id)
@@ -85,7 +85,7 @@ def test_the_drawing_does_not_change_the_motion():
 
 
 def test_one_second_of_random_control_gives_no_warning(model):
-    native.install()
+    callbacks.install()
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("straight_15").id)
     rng = np.random.default_rng(0)
@@ -97,7 +97,7 @@ def test_one_second_of_random_control_gives_no_warning(model):
 
 
 def test_sensors_show_the_wheel_speeds(model):
-    native.install()
+    callbacks.install()
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("straight_15").id)
     mujoco.mj_forward(model, data)

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from lpvmpc import weights_file
-from lpvmpc.bicycle import DELTA, NX, Bicycle, derivative
+from lpvmpc.car.bicycle import DELTA, NX, Bicycle, derivative
+from lpvmpc.control import weights_file
+from lpvmpc.control.formulation import EY_MAX, PAPER, PAPER_WEIGHTS, Formulation, Weights
+from lpvmpc.control.lpv_mpc import BRAKING, LPVMPC
+from lpvmpc.control.qp import QPResult
+from lpvmpc.control.stiffness.models import ConstantStiffness
 from lpvmpc.errors import OptionError
-from lpvmpc.formulation import EY_MAX, PAPER, PAPER_WEIGHTS, Formulation, Weights
 from lpvmpc.interface import Preview, State
-from lpvmpc.model import packaged_car
-from lpvmpc.mpc import BRAKING, LPVMPC
-from lpvmpc.qp import QPResult
-from lpvmpc.stiffness import ConstantStiffness
+from lpvmpc.plant.mjcf import packaged_car
 
 TS, NP = 0.033, 10
 

@@ -7,10 +7,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from lpvmpc import layout, native, tire
+from lpvmpc.car import tire
+from lpvmpc.car.aero import aero_wrench
 from lpvmpc.errors import LPVMPCError
-from lpvmpc.model import WHEELS, compile_model, numeric
-from lpvmpc.wind import aero_wrench
+from lpvmpc.plant import callbacks, structs
+from lpvmpc.plant.mjcf import WHEELS, compile_model, numeric
 
 PENDULUM = """<mujoco><worldbody><body><joint name="j" axis="0 1 0"/><geom size="0.1" pos="0 0 -1"/>
 </body></worldbody><actuator><general joint="j" dyntype="user" gainprm="0"/></actuator></mujoco>"""
@@ -18,7 +19,7 @@ PENDULUM = """<mujoco><worldbody><body><joint name="j" axis="0 1 0"/><geom size=
 
 @pytest.fixture(scope="module")
 def model():
-    native.install()
+    callbacks.install()
     return compile_model(visual=False)
 
 
@@ -42,55 +43,55 @@ def outputs(data, start):
 
 def test_offsets_point_at_the_arrays_that_mujoco_shows(model):
     data = mujoco.MjData(model)
-    offsets = layout.offsets("mjData")
+    offsets = structs.offsets("mjData")
     for name in ("qpos", "qvel", "act", "userdata", "qfrc_passive", "xanchor"):
         word = np.ctypeslib.as_array(
             (np.ctypeslib.ctypes.c_int64 * 1).from_address(data._address + offsets[name])
         )
         assert word[0] == getattr(data, name).ctypes.data
-    layout.check()
+    structs.check()
 
 
 def test_a_foreign_model_in_the_same_process_is_untouched(model):
     foreign = mujoco.MjModel.from_xml_string(PENDULUM)
     ends = []
     for with_callbacks in (True, False):
-        (native.install if with_callbacks else native.uninstall)()
+        (callbacks.install if with_callbacks else callbacks.uninstall)()
         data = mujoco.MjData(foreign)
         data.qpos[0] = 1.0
         mujoco.mj_step(foreign, data, nstep=1000)
         ends.append((data.qpos[0], data.act[0]))
-    native.install()
+    callbacks.install()
     assert ends[0] == ends[1]
     assert ends[0][1] == 0.0
 
 
 def test_a_callback_of_someone_else_is_not_replaced():
-    native.uninstall()
+    callbacks.uninstall()
     mujoco.set_mjcb_passive(lambda model, data: None)
     try:
         with pytest.raises(LPVMPCError, match="mjcb_passive"):
-            native.install()
+            callbacks.install()
     finally:
         mujoco.set_mjcb_passive(None)
-        native.install()
-        native.install()  # twice is harmless
+        callbacks.install()
+        callbacks.install()  # twice is harmless
 
 
 def test_native_forces_are_those_of_the_tire_law(model, moving):
     for i in range(4):
         c = numeric(model, "tire_f" if i < 2 else "tire_r")
-        scale = 1.0 + moving.userdata[native.FRICTION + i]
+        scale = 1.0 + moving.userdata[callbacks.FRICTION + i]
         Fx, Fy, _ = tire.forces(
             c,
-            outputs(moving, native.SLIP_RATIO)[i],
-            math.tan(outputs(moving, native.SLIP_ANGLE)[i]),
-            outputs(moving, native.FZ)[i],
+            outputs(moving, callbacks.SLIP_RATIO)[i],
+            math.tan(outputs(moving, callbacks.SLIP_ANGLE)[i]),
+            outputs(moving, callbacks.FZ)[i],
             scale,
         )
         # tan(atan(x)) differs from x by rounding
-        assert outputs(moving, native.FX)[i] == pytest.approx(Fx, rel=1e-12)
-        assert outputs(moving, native.FY)[i] == pytest.approx(Fy, rel=1e-12)
+        assert outputs(moving, callbacks.FX)[i] == pytest.approx(Fx, rel=1e-12)
+        assert outputs(moving, callbacks.FY)[i] == pytest.approx(Fy, rel=1e-12)
         assert abs(Fy) > 100.0  # the case is not trivial
 
 
@@ -110,9 +111,9 @@ def test_passive_forces_are_the_jacobian_transpose_of_the_contact_forces(model, 
         point = d.xpos[body] - down * d.xpos[body][2] / down[2]
         assert point[2] == pytest.approx(0.0, abs=1e-12)
         c = numeric(model, "tire_f" if i < 2 else "tire_r")
-        Fx, Fy, Fz = (outputs(d, k)[i] for k in (native.FX, native.FY, native.FZ))
-        scale = 1.0 + d.userdata[native.FRICTION + i]
-        tan_alpha = math.tan(outputs(d, native.SLIP_ANGLE)[i])
+        Fx, Fy, Fz = (outputs(d, k)[i] for k in (callbacks.FX, callbacks.FY, callbacks.FZ))
+        scale = 1.0 + d.userdata[callbacks.FRICTION + i]
+        tan_alpha = math.tan(outputs(d, callbacks.SLIP_ANGLE)[i])
         Mz = -tire.pneumatic_trail(c, tan_alpha / scale, Fz) * Fy
         # acting on the knuckle: what turns the wheel itself is tested below
         mujoco.mj_jac(model, d, jacp, jacr, point, model.body(f"knuckle_{wheel}").id)
@@ -135,19 +136,19 @@ def test_passive_forces_are_the_jacobian_transpose_of_the_contact_forces(model, 
 def test_wheel_torque_is_tire_brake_and_motor(model, moving):
     d = moving
     share = numeric(model, "powertrain")[4]
-    brake = d.userdata[native.TORQUE_BRAKE]
+    brake = d.userdata[callbacks.TORQUE_BRAKE]
     assert brake > 500.0
-    assert d.userdata[native.TORQUE_DRIVE] == 0.0
+    assert d.userdata[callbacks.TORQUE_DRIVE] == 0.0
     for i, wheel in enumerate(WHEELS):
         dof = model.joint(f"spin_{wheel}").dofadr[0]
         part = 0.5 * brake * (share if i < 2 else 1.0 - share)
-        rolling = 0.01 * 0.303 * outputs(d, native.FZ)[i]
-        expected = -0.303 * outputs(d, native.FX)[i] - part - rolling
+        rolling = 0.01 * 0.303 * outputs(d, callbacks.FZ)[i]
+        expected = -0.303 * outputs(d, callbacks.FX)[i] - part - rolling
         assert d.qfrc_passive[dof] == pytest.approx(expected, rel=1e-12)
 
 
 def test_relaxation_states_are_advanced_by_the_step(model, moving):
-    rates = moving.userdata[native.ACT_DOT : native.ACT_DOT + model.na].copy()
+    rates = moving.userdata[callbacks.ACT_DOT : callbacks.ACT_DOT + model.na].copy()
     before = moving.act.copy()
     mujoco.mj_step(model, moving)
     assert moving.act == pytest.approx(before + 1e-3 * rates, abs=1e-15)
@@ -193,7 +194,7 @@ def test_motor_torque_and_power_are_limited(model):
         data.act[1] = data.ctrl[1] = 9.0
         mujoco.mj_forward(model, data)
         spin = vx / 0.303
-        assert data.userdata[native.TORQUE_DRIVE] == pytest.approx(min(2046.0, 65e3 / spin))
+        assert data.userdata[callbacks.TORQUE_DRIVE] == pytest.approx(min(2046.0, 65e3 / spin))
 
 
 def test_stepping_releases_the_gil(model):

@@ -5,13 +5,15 @@ import time
 import numpy as np
 import pytest
 
-from lpvmpc import bicycle, network, tensors
-from lpvmpc.bicycle import AF, AR, DELTA, NX, PHI, VX, A, R
+from lpvmpc.car import bicycle
+from lpvmpc.car.bicycle import AF, AR, DELTA, NX, PHI, VX, A, R
+from lpvmpc.control.stiffness import network
+from lpvmpc.control.stiffness.network import NetworkTire, load_weights, shipped
+from lpvmpc.control.stiffness.secant_network import SecantNetwork
 from lpvmpc.errors import DataError, LPVMPCError, OptionError
-from lpvmpc.model import compile_model
-from lpvmpc.names import warn_of_another_car
-from lpvmpc.network import NetworkTire, load_weights, shipped
-from lpvmpc.secant_network import SecantNetwork
+from lpvmpc.kit import safetensors
+from lpvmpc.plant.mjcf import compile_model
+from lpvmpc.sim.names import warn_of_another_car
 from lpvmpc.units import GRAVITY
 
 
@@ -266,10 +268,10 @@ def changed(tmp_path):
     """Writes a copy of shipped weights with changes; returns its path."""
 
     def call(kind="network", arrays=None, facts=None, drop=()):
-        a, m = tensors.read(shipped(kind))
+        a, m = safetensors.read(shipped(kind))
         a = {k: v for k, v in {**a, **(arrays or {})}.items() if k not in drop}
         file = tmp_path / "w.safetensors"
-        tensors.write(file, a, {**m, **(facts or {})})
+        safetensors.write(file, a, {**m, **(facts or {})})
         return file
 
     return call
@@ -369,10 +371,10 @@ def test_models_refuse_each_others_weights(car):
 def test_the_file_format_is_safetensors(tmp_path):
     numpy_files = pytest.importorskip("safetensors.numpy")
     arrays = {"a": np.arange(6.0).reshape(2, 3), "b": np.array([1, 2]), "c": np.float32([3.5])}
-    tensors.write(tmp_path / "x.safetensors", arrays, {"k": "v"})
+    safetensors.write(tmp_path / "x.safetensors", arrays, {"k": "v"})
     theirs = numpy_files.load_file(tmp_path / "x.safetensors")
     numpy_files.save_file(arrays, tmp_path / "y.safetensors", {"k": "v"})
-    ours, facts = tensors.read(tmp_path / "y.safetensors")
+    ours, facts = safetensors.read(tmp_path / "y.safetensors")
     assert facts == {"k": "v"}
     for name, array in arrays.items():
         np.testing.assert_array_equal(theirs[name], array)
@@ -382,8 +384,8 @@ def test_the_file_format_is_safetensors(tmp_path):
 
 def test_the_same_content_gives_the_same_bytes(tmp_path):
     facts = {"b": json.dumps([1]), "a": "2"}
-    tensors.write(tmp_path / "1", {"x": np.ones(3), "y": np.zeros(2)}, facts)
-    tensors.write(
+    safetensors.write(tmp_path / "1", {"x": np.ones(3), "y": np.zeros(2)}, facts)
+    safetensors.write(
         tmp_path / "2", {"y": np.zeros(2), "x": np.ones(3)}, dict(reversed(facts.items()))
     )
     assert (tmp_path / "1").read_bytes() == (tmp_path / "2").read_bytes()

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from lpvmpc import observer
-from lpvmpc.bicycle import EY, NU, NX, Bicycle, discretise, lpv
-from lpvmpc.model import packaged_car
+from lpvmpc.car.bicycle import EY, NU, NX, Bicycle, discretise, lpv
+from lpvmpc.control import disturbance
+from lpvmpc.plant.mjcf import packaged_car
 
 TS = 0.033
 
@@ -29,7 +29,7 @@ def test_a_constant_disturbance_is_found_without_steady_state_error(model, gain)
     for _ in range(200):
         predicted = Ad @ x + Ed @ estimate + cd
         x = Ad @ x + Ed @ truth + cd
-        observer.update(estimate, predicted, x, np.full(3, gain), observer.LIMIT, TS)
+        disturbance.update(estimate, predicted, x, np.full(3, gain), disturbance.LIMIT, TS)
     # geometric convergence, factor at most 1 - 0.1/2 per period: 0.95^200 = 4e-5
     np.testing.assert_allclose(estimate, truth, atol=1e-3)
 
@@ -44,5 +44,5 @@ def test_a_disturbance_moves_position_within_the_period(model):
 def test_the_estimate_is_limited():
     estimate = np.zeros(3)
     measured = np.full(NX, 100.0)
-    observer.update(estimate, np.zeros(NX), measured, np.ones(3), observer.LIMIT, TS)
-    np.testing.assert_array_equal(estimate, observer.LIMIT)
+    disturbance.update(estimate, np.zeros(NX), measured, np.ones(3), disturbance.LIMIT, TS)
+    np.testing.assert_array_equal(estimate, disturbance.LIMIT)

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from lpvmpc.errors import PathError
-from lpvmpc.path import Path
-from lpvmpc.speed_profile import SpeedProfile
+from lpvmpc.road.path import Path
+from lpvmpc.road.speed_profile import SpeedProfile
 
 RNG = np.random.default_rng(1)
 

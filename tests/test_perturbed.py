@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from lpvmpc import load_controller
+from lpvmpc.control.stiffness.perturbed import PerturbedStiffness
 from lpvmpc.errors import OptionError
-from lpvmpc.perturbed import PerturbedStiffness
 
 LAW = np.array([100e3, 500.0, 200e3, -300.0])
 

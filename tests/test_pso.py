@@ -3,9 +3,9 @@ import math
 import numpy as np
 import pytest
 
-from lpvmpc import pso
 from lpvmpc.errors import OptionError
-from lpvmpc.pso import Settings, minimise
+from lpvmpc.tune import pso
+from lpvmpc.tune.pso import Settings, minimise
 
 
 def bowl(x):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
+from lpvmpc.control.qp import QPSolver, condense, kkt_residual, n_rows
 from lpvmpc.errors import OptionError
-from lpvmpc.qp import QPSolver, condense, kkt_residual, n_rows
 
 N, NX, NU = 8, 3, 2
 
@@ -234,7 +234,7 @@ def test_an_answer_that_is_not_optimal_is_asked_for_again(seed, monkeypatch):
     result = solve(written)
     assert result.solved and result.residual <= 1e-6
     # what it is compared with: asking again as before
-    monkeypatch.setattr("lpvmpc.qp.AGAIN", 1.0)
+    monkeypatch.setattr("lpvmpc.control.qp.AGAIN", 1.0)
     refused = solve(written)
     assert (refused.solved, refused.status) == (False, "WRONG")
 

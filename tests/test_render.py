@@ -8,8 +8,8 @@ import pytest
 from fake_log import TS, fake_log, fake_path
 from opengl import needs_opengl
 
-from lpvmpc import render
 from lpvmpc.errors import OptionError, OutputError, RenderError
+from lpvmpc.picture.video import render
 
 WIDTH, HEIGHT = 320, 180
 

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lpvmpc import genetic, sphere
 from lpvmpc.errors import LPVMPCError
-from lpvmpc.reproduction import anew, evidence, figures, plan, records, rest
-from lpvmpc.reproduction.plan import LMPC, OURS
+from lpvmpc.paper import figures, measurements, records, retrain, runs, steering_at_rest
+from lpvmpc.paper.runs import LMPC, OURS
+from lpvmpc.tune import genetic, sphere
 
 SCRIPT = Path(__file__).parents[1] / "eval" / "reproduce.py"
 LINES = {("tuned", OURS), ("tuned", LMPC), ("by hand", OURS), ("printed", "as printed"),
@@ -21,15 +21,15 @@ def short(tmp_path, monkeypatch):
     angle = np.linspace(0.0, 0.8, 21)
     rows = "".join(f"{50 * np.sin(a):.4f},{50 * (1 - np.cos(a)):.4f},3,3,10\n" for a in angle)
     (tmp_path / "road.csv").write_text("# x_m,y_m,w_tr_right_m,w_tr_left_m,vx_mps\n" + rows)
-    case = plan.Case(key="paper", title="bend", scenario="road.csv", ablated=True)
-    every = plan.entries
-    monkeypatch.setattr(plan, "CASES", (case,))
+    case = runs.Case(key="paper", title="bend", scenario="road.csv", ablated=True)
+    every = runs.entries
+    monkeypatch.setattr(runs, "CASES", (case,))
     monkeypatch.setattr(
-        plan, "entries", lambda eq: [e for e in every(eq) if (e.group, e.key) in LINES]
+        runs, "entries", lambda eq: [e for e in every(eq) if (e.group, e.key) in LINES]
     )
-    monkeypatch.setattr(evidence, "STIFFNESS_CASE", "paper")
-    monkeypatch.setattr(evidence, "QUICK_SPEEDS", (10.0,))
-    monkeypatch.setattr(rest, "SPEEDS", (10.0,))
+    monkeypatch.setattr(measurements, "STIFFNESS_CASE", "paper")
+    monkeypatch.setattr(measurements, "QUICK_SPEEDS", (10.0,))
+    monkeypatch.setattr(steering_at_rest, "SPEEDS", (10.0,))
     settings = genetic.Settings(generations=10, population=10)
     study = sphere.run(seeds=2, settings=settings)
     monkeypatch.setattr(sphere, "run", lambda **options: study)
@@ -69,7 +69,7 @@ def test_the_report_is_written_and_the_second_time_nothing_is_driven_again(run, 
 
 
 def test_a_quick_look_says_so_and_leaves_the_report_alone(run, short, tmp_path, monkeypatch):
-    monkeypatch.setattr(plan, "QUICK", ("paper",))
+    monkeypatch.setattr(runs, "QUICK", ("paper",))
     code, out, _ = run("--quick", "--jobs", 1)
     assert code == 0
     assert not (tmp_path / "docs").exists()
@@ -99,15 +99,15 @@ def test_weights_tuned_anew_and_networks_trained_anew_drive(run, short, script, 
         asked.append(task)
         return folder
 
-    monkeypatch.setattr(anew, "tune", tune)
+    monkeypatch.setattr(retrain, "tune", tune)
     monkeypatch.setattr(records, "read_tuning", read)
-    monkeypatch.setattr(anew, "train", lambda folder, *a, **k: {"network": folder / "n"})
-    monkeypatch.setattr(evidence, "gather", gather)
+    monkeypatch.setattr(retrain, "train", lambda folder, *a, **k: {"network": folder / "n"})
+    monkeypatch.setattr(measurements, "gather", gather)
     code, _, err = run("--retune", "--retrain", "--quick")
     assert (code, err) == (130, "Interrupted; the same command goes on from here.\n")
     assert {task.controller for task in asked} == set(by_hand)
     assert len({task.budget for task in asked}) == 1
-    equipment = evidence.equip(seen["tunings"], seen["networks"])
+    equipment = measurements.equip(seen["tunings"], seen["networks"])
     assert equipment.options(LMPC)["weights"]["kp"] == 7.0
     assert equipment.options(OURS)["stiffness_file"] == "runs/reproduce/training-quick/n"
 
@@ -115,7 +115,7 @@ def test_weights_tuned_anew_and_networks_trained_anew_drive(run, short, script, 
 def test_training_anew_without_torch_is_one_sentence(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(LPVMPCError, match="--retrain needs torch; pip install"):
-        anew.train(tmp_path, 1, lambda *what: None)
+        retrain.train(tmp_path, 1, lambda *what: None)
 
 
 @pytest.mark.parametrize(

@@ -6,13 +6,24 @@ import numpy as np
 import pytest
 from fake_log import fake_log
 
-from lpvmpc import batch, bicycle, genetic, sphere, tuning
+from lpvmpc.car import bicycle
 from lpvmpc.errors import ControllerError, DataError
-from lpvmpc.metrics import KEYS
-from lpvmpc.model import packaged_car
-from lpvmpc.reproduction import anew, evidence, figures, findings, plan, printed, records, report
-from lpvmpc.reproduction import rest as resting
-from lpvmpc.reproduction.plan import LMPC, OURS, PAPERS, PLAIN
+from lpvmpc.paper import (
+    figures,
+    findings,
+    measurements,
+    printed_formulas,
+    records,
+    report,
+    retrain,
+    runs,
+)
+from lpvmpc.paper import steering_at_rest as resting
+from lpvmpc.paper.runs import LMPC, OURS, PAPERS, PLAIN
+from lpvmpc.plant.mjcf import packaged_car
+from lpvmpc.sim import batch
+from lpvmpc.sim.metrics import KEYS
+from lpvmpc.tune import genetic, sphere, tuning
 
 WEIGHTS = {
     OURS: {"q_ey": 80.0, "terminal": 1.0}, PLAIN: {"q_ey": 80.0, "terminal": 0.0},
@@ -62,13 +73,13 @@ def make(study):
     """Makes evidence of invented results, in which some things may differ."""
 
     def fake(of=errors, *, tuned=True, quick=False, **changes):
-        equipment = plan.Equipment(by_hand=WEIGHTS, tuned=WEIGHTS if tuned else {})
-        entries = plan.entries(equipment)
-        cases = [case for case in plan.CASES if not quick or case.key in plan.QUICK]
+        equipment = runs.Equipment(by_hand=WEIGHTS, tuned=WEIGHTS if tuned else {})
+        entries = runs.entries(equipment)
+        cases = [case for case in runs.CASES if not quick or case.key in runs.QUICK]
         rows = [
-            evidence.Row(entry=entry, case=case, result=of(entry, case))
-            for entry in (plan.quick(entries) if quick else entries)
-            for case in plan.cases_of(entry, cases)
+            measurements.Row(entry=entry, case=case, result=of(entry, case))
+            for entry in (runs.quick(entries) if quick else entries)
+            for case in runs.cases_of(entry, cases)
         ]
         rests = [
             resting.Rest(vx=vx, turning=False, completed=True, answered=0.01, left=1e-5)
@@ -87,12 +98,12 @@ def make(study):
             "quick": quick, "jobs": 1, "equipment": equipment, "rows": rows, "driven": len(rows),
             "kept": 7,
             "rests": rests, "logs": {OURS: fake_log(), LMPC: fake_log()},
-            "stiffness": evidence.Stiffness(title="circuit 87 %", t=t, alpha=0.01 * true / 1e5,
+            "stiffness": measurements.Stiffness(title="circuit 87 %", t=t, alpha=0.01 * true / 1e5,
                                             true=true, said=said),
             "sphere": study, "tunings": {}, "tuned_on": ("tuning-a", "tuning-b"),
             "trainings": {"network-secant": training}, "seconds": 60.0,
         }  # fmt: skip
-        return evidence.Evidence(**{**told, **changes})
+        return measurements.Evidence(**{**told, **changes})
 
     return fake
 
@@ -108,8 +119,8 @@ def matrices(slips):
     x = np.array([12.0, 0.3, 0.2, 0.1, 0.05, 0.04, 0.0, 0.0, 0.0, 0.0, 0.0])
     A, B, c = np.empty((11, 11)), np.empty((11, 2)), np.empty(11)
     tires = np.array([9e4, 0.0, 1.1e5, 0.0])
-    chosen = np.array([name in slips for name in printed.SLIPS])
-    printed.matrices(x, 0.02, tires, car, chosen, A, B, c)
+    chosen = np.array([name in slips for name in printed_formulas.SLIPS])
+    printed_formulas.matrices(x, 0.02, tires, car, chosen, A, B, c)
     return x, car, A, B
 
 
@@ -135,18 +146,18 @@ def test_a_printed_slip_changes_the_entries_that_it_names_and_no_others(slip):
 
 
 def test_without_slips_the_printed_controller_is_the_plain_one_and_signs_lose_the_car():
-    case = next(case for case in plan.CASES if case.key == "double-lane-change")
-    plain = batch.drive(plan.run_of(case, PLAIN, {"weights": printed_weights()}))
-    none = batch.drive(plan.run_of(case, printed.controller(set()), {}))
+    case = next(case for case in runs.CASES if case.key == "double-lane-change")
+    plain = batch.drive(runs.run_of(case, PLAIN, {"weights": printed_weights()}))
+    none = batch.drive(runs.run_of(case, printed_formulas.controller(set()), {}))
     for name in ("ey_m", "delta_cmd_rad", "ax_cmd_mps2"):
         np.testing.assert_array_equal(none.columns[name], plain.columns[name])
-    lost = batch.drive(plan.run_of(case, printed.controller({"signs"}), {}))
+    lost = batch.drive(runs.run_of(case, printed_formulas.controller({"signs"}), {}))
     assert not lost.meta["completed"]
 
 
 def printed_weights():
-    from lpvmpc.formulation import PAPER_WEIGHTS
-    from lpvmpc.weights_file import as_dict
+    from lpvmpc.control.formulation import PAPER_WEIGHTS
+    from lpvmpc.control.weights_file import as_dict
 
     return as_dict(PAPER_WEIGHTS)
 
@@ -154,7 +165,7 @@ def printed_weights():
 def test_an_unknown_slip_is_no_controller():
     from lpvmpc import load_controller
 
-    name = "lpvmpc.reproduction.printed:Printed_gravity"
+    name = "lpvmpc.paper.printed_formulas:Printed_gravity"
     with pytest.raises(ControllerError, match="does not exist"):
         load_controller(name)
 
@@ -163,17 +174,17 @@ def test_an_unknown_slip_is_no_controller():
 
 
 def test_each_line_of_the_chains_changes_one_thing():
-    equipment = plan.Equipment(by_hand=WEIGHTS, tuned=WEIGHTS)
-    entries = [e for e in plan.entries(equipment) if e.group == "printed"]
-    left = [set(e.controller.split("_")[1:]) for e in entries[:-1]] + [set()]
-    assert left[0] == set(printed.SLIPS) and entries[-1].controller == PLAIN
+    equipment = runs.Equipment(by_hand=WEIGHTS, tuned=WEIGHTS)
+    entries = [e for e in runs.entries(equipment) if e.group == "printed"]
+    left = [set(e.controller.partition(":")[2].split("_")[1:]) for e in entries[:-1]] + [set()]
+    assert left[0] == set(printed_formulas.SLIPS) and entries[-1].controller == PLAIN
     assert all(len(a - b) == 1 and not b - a for a, b in zip(left, left[1:], strict=False))
-    chain = [e for e in plan.entries(equipment) if e.group == "corrected"]
+    chain = [e for e in runs.entries(equipment) if e.group == "corrected"]
     for before, after in zip(chain, chain[1:], strict=False):
         a, b = dict(before.options), dict(after.options)
         old, new = a.pop("formulation", {}), b.pop("formulation", {})
         if before.controller != after.controller:  # all parts are there: the weights change
-            from lpvmpc.formulation import PAPER, Formulation
+            from lpvmpc.control.formulation import PAPER, Formulation
 
             assert after.key == "+ weights"
             assert replace(PAPER, **old) == Formulation()
@@ -185,20 +196,20 @@ def test_each_line_of_the_chains_changes_one_thing():
 
 
 def test_the_last_line_of_the_chain_is_the_controller_of_the_first_table():
-    entries = plan.entries(plan.Equipment(by_hand=WEIGHTS, tuned=WEIGHTS))
+    entries = runs.entries(runs.Equipment(by_hand=WEIGHTS, tuned=WEIGHTS))
     last = [e for e in entries if e.group == "corrected"][-1]
     ours = next(e for e in entries if (e.group, e.key) == ("tuned", OURS))
     assert (last.controller, last.options) == (ours.controller, ours.options)
 
 
 def test_no_road_of_the_report_tunes_weights():
-    assert not {case.scenario for case in plan.CASES} & set(tuning.TRACKS)
+    assert not {case.scenario for case in runs.CASES} & set(tuning.TRACKS)
 
 
 def test_a_network_trained_anew_drives_and_its_content_decides_the_key(tmp_path):
     file = tmp_path / "network.safetensors"
-    equipment = plan.Equipment(by_hand=WEIGHTS, networks={"network": str(file)})
-    run = plan.run_of(plan.CASES[0], OURS, equipment.options(OURS))
+    equipment = runs.Equipment(by_hand=WEIGHTS, networks={"network": str(file)})
+    run = runs.run_of(runs.CASES[0], OURS, equipment.options(OURS))
     assert run.controller_options["stiffness_file"] == str(file)
     file.write_bytes(b"one")
     key = run.key()
@@ -307,7 +318,7 @@ def test_what_the_paper_prints_and_cannot_be_is_remarked(make):
 
 def test_the_report_holds_every_table_and_says_where_a_car_was_lost(make):
     text = report.report(make(), {"fig8-path": "paper/fig8-path.png"})
-    for title in (*findings.TABLES.values(), *plan.GROUPS.values()):
+    for title in (*findings.TABLES.values(), *runs.GROUPS.values()):
         assert f"**{title}" in text, title
     assert "off at 123 m" in text
     assert report.cell(SimpleNamespace(completed=False, result={
@@ -369,7 +380,7 @@ def road(tmp_path):
 def test_a_tuning_anew_is_kept_and_read_back(tmp_path, road, monkeypatch):
     task = tuning.Task(controller="pure-pursuit", scenarios=(road,), generations=2, population=4)
     told = []
-    folder = anew.tune(task, tmp_path / "tuning", 1, lambda *what: told.append(what))
+    folder = retrain.tune(task, tmp_path / "tuning", 1, lambda *what: told.append(what))
     assert told[-1][0] == "tuning pure-pursuit" and told[-1][2] == task.budget
     one = records.read_tuning(folder)
     assert one.controller == "pure-pursuit" and one.evaluations <= one.budget
@@ -381,7 +392,7 @@ def test_a_tuning_anew_is_kept_and_read_back(tmp_path, road, monkeypatch):
         raise AssertionError("it was done")
 
     monkeypatch.setattr(tuning, "tune", never)
-    assert anew.tune(task, tmp_path / "tuning", 1, lambda *what: None) == folder
+    assert retrain.tune(task, tmp_path / "tuning", 1, lambda *what: None) == folder
     (folder / "tuning.json").write_text("{}")
     with pytest.raises(DataError, match="are damaged: KeyError"):
         records.read_tuning(folder)
@@ -410,15 +421,15 @@ def test_a_training_anew_is_kept_and_drives(tmp_path):
 
     told = []
     options = {"samples": 2560, "epochs": 2}  # two runs of each kind of manoeuvre at the least
-    files = anew.train(tmp_path, 1, lambda *what: told.append(what[0]), **options)
+    files = retrain.train(tmp_path, 1, lambda *what: told.append(what[0]), **options)
     assert {"collecting stiffness", "training network", "training network-secant"} <= set(told)
     made = {kind: file.read_bytes() for kind, file in files.items()}
     told.clear()
-    assert anew.train(tmp_path, 1, lambda *what: told.append(what[0]), **options) == files
+    assert retrain.train(tmp_path, 1, lambda *what: told.append(what[0]), **options) == files
     assert not told and made == {kind: file.read_bytes() for kind, file in files.items()}
     for kind, file in files.items():
         assert records.read_training(kind, file.with_suffix("")).samples == 2560
-    car = load_controller(OURS, **evidence.equip(None, files).options(OURS))
+    car = load_controller(OURS, **measurements.equip(None, files).options(OURS))
     assert car.stiffness.name == "network"
 
 
@@ -431,7 +442,7 @@ def test_what_is_published_is_found_beside_the_package(root):
 def test_without_the_source_tree_the_report_says_what_is_left_out(monkeypatch):
     monkeypatch.setattr(records, "published", lambda: None)
     missing = []
-    assert evidence._records(None, None, missing) == ({}, {})
+    assert measurements._records(None, None, missing) == ({}, {})
     assert len(missing) == 1 and "installed without its source tree" in missing[0]
 
 
@@ -440,7 +451,7 @@ def test_without_the_source_tree_the_report_says_what_is_left_out(monkeypatch):
 
 def test_the_labels_of_a_log_are_force_over_slip_angle():
     log = fake_log(2.0)
-    alpha, C = evidence.labels(log)
+    alpha, C = measurements.labels(log)
     c = log.columns
     rear = c["Fy_rl_N"] + c["Fy_rr_N"]
     large = np.abs(alpha[:, 1]) > 0.012  # where the label is the secant alone

@@ -7,9 +7,9 @@ import pytest
 from references import ay_peak
 
 from lpvmpc.errors import OptionError, PathError, UnknownNameError
-from lpvmpc.model import packaged_car
-from lpvmpc.names import load_scenario
-from lpvmpc.scenario import SCENARIOS, RoadFriction, list_scenarios
+from lpvmpc.plant.mjcf import packaged_car
+from lpvmpc.road.scenario import SCENARIOS, RoadFriction, list_scenarios
+from lpvmpc.sim.names import load_scenario
 
 NAMES = list_scenarios()
 CLOSED = {"paper-loop", "circuit", "tuning-a"}

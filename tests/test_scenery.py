@@ -2,9 +2,9 @@ import mujoco
 import numpy as np
 from fake_log import fake_path
 
-from lpvmpc import scenery
-from lpvmpc.model import model_path
-from lpvmpc.path import Path
+from lpvmpc.picture.video import scenery
+from lpvmpc.plant.mjcf import model_path
+from lpvmpc.road.path import Path
 
 
 def test_the_scene_keeps_the_vehicles_coordinates():

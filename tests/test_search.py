@@ -9,10 +9,10 @@ from multiprocessing import get_context
 import numpy as np
 import pytest
 
-from lpvmpc import genetic, pso
 from lpvmpc.errors import DataError, OptionError
-from lpvmpc.search import Guarded, summary
-from lpvmpc.search_state import FORMAT, Generation, State
+from lpvmpc.tune import genetic, pso
+from lpvmpc.tune.checkpoint import FORMAT, Generation, State
+from lpvmpc.tune.search import Guarded, summary
 
 LOWER, UPPER = np.array([-3.0, 0.0, 1e-3]), np.array([5.0, 1e6, 2e-3])
 OPTIMUM = np.array([1.0, 4e5, 1e-3])  # the last one lies on its bound

@@ -9,14 +9,14 @@ import pytest
 
 from lpvmpc.errors import ControllerError, LPVMPCError, OptionError, UnknownNameError
 from lpvmpc.interface import Command
-from lpvmpc.metrics import metrics
-from lpvmpc.names import load_controller
-from lpvmpc.path import Path as Road
-from lpvmpc.plant import Plant
-from lpvmpc.scenario import Scenario
-from lpvmpc.simulation import simulate
-from lpvmpc.speed_profile import SpeedProfile
-from lpvmpc.wind import Wind
+from lpvmpc.plant.plant import Plant
+from lpvmpc.road.path import Path as Road
+from lpvmpc.road.scenario import Scenario
+from lpvmpc.road.speed_profile import SpeedProfile
+from lpvmpc.road.wind import Wind
+from lpvmpc.sim.loop import simulate
+from lpvmpc.sim.metrics import metrics
+from lpvmpc.sim.names import load_controller
 
 
 class Straight:
@@ -292,7 +292,7 @@ def test_a_users_class_is_found_in_the_current_directory(user_module, point_plan
 @pytest.mark.parametrize(
     ("name", "sentence"),
     [("absent:Mine", "no such module"), ("mine:Absent", "it has Half, Mine, Picky"),
-     ("mine:Half", "no method 'command'"), ("mine:Picky", "without arguments"),
+     ("mine:Half", "no method 'command'"), ("mine:Picky", "cannot be made from what"),
      (":Mine", "cannot be imported"), ("mine:", "does not exist")],
 )  # fmt: skip
 def test_a_users_class_that_is_no_controller_is_named(user_module, name, sentence):

@@ -5,10 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from lpvmpc import native, speed, speed_processes
+from lpvmpc.bench import speed, speed_processes
+from lpvmpc.bench.speed import Figure
 from lpvmpc.errors import RenderError
-from lpvmpc.plant import Plant
-from lpvmpc.speed import Figure
+from lpvmpc.plant import callbacks
+from lpvmpc.plant.plant import Plant
 
 SCRIPT = Path(__file__).parents[1] / "eval" / "speed.py"
 
@@ -77,7 +78,7 @@ def test_the_callbacks_are_back_after_the_bare_steps():
     speed.measure_plant(rounds=1, blocks=1, periods=1)
     plant = Plant()
     assert plant.wheels.Fz.sum() > 1e4
-    native.install()  # refuses when someone else's are there
+    callbacks.install()  # refuses when someone else's are there
 
 
 def test_start_up_is_measured_on_the_real_script(root, monkeypatch):

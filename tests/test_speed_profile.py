@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from references import ay_peak
 
-from lpvmpc import road
 from lpvmpc.errors import PathError
-from lpvmpc.model import packaged_car
-from lpvmpc.names import load_scenario
-from lpvmpc.path import Path
-from lpvmpc.speed_profile import SpeedProfile, plan
+from lpvmpc.plant.mjcf import packaged_car
+from lpvmpc.road import segments
+from lpvmpc.road.path import Path
+from lpvmpc.road.speed_profile import SpeedProfile, plan
+from lpvmpc.sim.names import load_scenario
 
 PLANNED = ["paper-loop", "circuit", "tuning-a", "tuning-b"]
 
@@ -94,9 +94,11 @@ def test_a_plan_on_a_circle_is_the_speed_of_the_limit(params):
 
 
 def test_a_plan_brakes_before_a_bend_and_mirrors_with_it(params):
+    line = segments.line(200.0)
+
     def planned(sign):
-        path = road.from_segments(
-            [*road.line(200.0), *road.bend(sign * 90.0, [15.0], [10.0, 10.0]), *road.line(200.0)]
+        path = segments.from_segments(
+            [*line, *segments.bend(sign * 90.0, [15.0], [10.0, 10.0]), *line]
         )
         return plan(path, params, ay_max=4.0, v_max=21.0)
 

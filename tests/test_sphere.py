@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lpvmpc import sphere, sphere_report
-from lpvmpc.sphere import OPTIMUM, Runs, Study
+from lpvmpc.tune import sphere, sphere_report
+from lpvmpc.tune.sphere import OPTIMUM, Runs, Study
 
 SCRIPT = Path(__file__).parents[1] / "eval" / "tune.py"
 

@@ -6,8 +6,8 @@ from fake_log import fake_log
 from opengl import needs_opengl
 
 from lpvmpc.errors import RenderError
-from lpvmpc.render import Motion
-from lpvmpc.stage import Chase, Stage, gl_context
+from lpvmpc.picture.video.render import Motion
+from lpvmpc.picture.video.stage import Chase, Stage, gl_context
 
 WIDTH, HEIGHT = 320, 180
 

@@ -3,14 +3,9 @@
 import numpy as np
 import pytest
 
-from lpvmpc.bicycle import AF, AR, NX, VX
-from lpvmpc.errors import OptionError
-from lpvmpc.interface import Command
-from lpvmpc.model import compile_model, packaged_car
-from lpvmpc.model import tires as coefficients
-from lpvmpc.mpc import LPVMPC
-from lpvmpc.plant import Plant
-from lpvmpc.stiffness import (
+from lpvmpc.car.bicycle import AF, AR, NX, VX
+from lpvmpc.control.lpv_mpc import LPVMPC
+from lpvmpc.control.stiffness.models import (
     C_MIN,
     ConstantStiffness,
     DryNetwork,
@@ -19,6 +14,11 @@ from lpvmpc.stiffness import (
     SecantOracle,
     secant,
 )
+from lpvmpc.errors import OptionError
+from lpvmpc.interface import Command
+from lpvmpc.plant.mjcf import compile_model, packaged_car
+from lpvmpc.plant.mjcf import tires as coefficients
+from lpvmpc.plant.plant import Plant
 
 
 @pytest.fixture(scope="module")

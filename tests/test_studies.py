@@ -4,14 +4,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lpvmpc import tire
-from lpvmpc.bicycle import CORRECTED, NX, Bicycle, lpv
+from lpvmpc.car import tire
+from lpvmpc.car.bicycle import CORRECTED, NX, Bicycle, lpv
 from lpvmpc.errors import LPVMPCError, UnknownNameError
-from lpvmpc.model import parameters
-from lpvmpc.plant import Plant
-from lpvmpc.studies import golden, report, runner, straight, suspension, transient
-from lpvmpc.studies.broken import BROKEN, break_car
-from lpvmpc.studies.lateral_model import frequency_response, lateral_model, response
+from lpvmpc.plant.mjcf import parameters
+from lpvmpc.plant.plant import Plant
+from lpvmpc.studies import report, runner, straight, transient
+from lpvmpc.studies.reference import golden_tire, suspension
+from lpvmpc.studies.reference.broken_cars import BROKEN, break_car
+from lpvmpc.studies.reference.lateral_model import frequency_response, lateral_model, response
 from lpvmpc.studies.steady_state import Linear, slope_at_zero
 from lpvmpc.studies.study import (
     STUDIES,
@@ -201,7 +202,7 @@ def test_late_forces_are_the_only_difference(car):
 
 def test_golden_values_are_those_of_the_package_they_name():
     pytest.importorskip("vehiclemodels", reason="commonroad-vehicle-models is not installed")
-    computed, stored = golden.compute(), golden.read()
+    computed, stored = golden_tire.compute(), golden_tire.read()
     assert stored["coefficients"] == computed["coefficients"]  # else: the car's tires have changed
     for mine, theirs in zip(computed["rows"], stored["rows"], strict=True):
         assert mine[0] == theirs[0]
@@ -210,9 +211,10 @@ def test_golden_values_are_those_of_the_package_they_name():
 
 
 def test_golden_values_belong_to_the_cars_tires(car):
-    stored = golden.read()["coefficients"]
+    stored = golden_tire.read()["coefficients"]
     for name, c in zip(("front", "rear"), car.tires, strict=True):
-        assert (tire.coefficients(stored[name]) == c).all(), "python -m lpvmpc.studies.golden"
+        # else: python -m lpvmpc.studies.reference.golden_tire
+        assert (tire.coefficients(stored[name]) == c).all()
 
 
 def test_the_transfer_function_is_the_controllers_model(car):

@@ -3,8 +3,9 @@ import math
 import numpy as np
 import pytest
 
-from lpvmpc.model import compile_model
-from lpvmpc.studies import cross_model, multibody
+from lpvmpc.plant.mjcf import compile_model
+from lpvmpc.studies import cross_model
+from lpvmpc.studies.reference import multibody
 from lpvmpc.studies.study import CarUnderTest
 
 

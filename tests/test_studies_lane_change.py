@@ -4,11 +4,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lpvmpc import cones
-from lpvmpc.cones import Course, Lane
-from lpvmpc.path import Path
-from lpvmpc.studies import gates, lane_change
-from lpvmpc.studies.gates import Outline
+from lpvmpc.road import cones
+from lpvmpc.road.cones import Course, Lane
+from lpvmpc.road.path import Path
+from lpvmpc.studies import lane_change
+from lpvmpc.studies.parts import gates
+from lpvmpc.studies.parts.gates import Outline
 from lpvmpc.studies.study import CarUnderTest
 
 OUTLINE = Outline(front=1.9, rear=2.2, half_width=0.85)

@@ -4,9 +4,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lpvmpc.model import packaged_car
-from lpvmpc.studies import load_transfer, rollover
-from lpvmpc.studies.rollover import Springs
+from lpvmpc.plant.mjcf import packaged_car
+from lpvmpc.studies import load_transfer
+from lpvmpc.studies.parts import rollover
+from lpvmpc.studies.parts.rollover import Springs
 from lpvmpc.studies.study import CarUnderTest, StudyResult
 from lpvmpc.units import GRAVITY
 

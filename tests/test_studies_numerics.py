@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 
 from lpvmpc.interface import Command
-from lpvmpc.plant import Plant
-from lpvmpc.studies import chatter, energy, numerics
-from lpvmpc.studies.energy import Ledger
+from lpvmpc.plant.plant import Plant
+from lpvmpc.studies import numerics
+from lpvmpc.studies.parts import chatter, energy
+from lpvmpc.studies.parts.energy import Ledger
 from lpvmpc.studies.study import CarUnderTest
 
 

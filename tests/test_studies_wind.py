@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lpvmpc.model import packaged_car
+from lpvmpc.plant.mjcf import packaged_car
 from lpvmpc.studies import wind
 
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from lpvmpc.bicycle import CORRECTED, EPSI, EY, NU, NX, VX, Bicycle, discretise, lpv
-from lpvmpc.model import packaged_car
-from lpvmpc.terminal import NZ, SPEEDS, cost_to_go
+from lpvmpc.car.bicycle import CORRECTED, EPSI, EY, NU, NX, VX, Bicycle, discretise, lpv
+from lpvmpc.control.terminal_cost import NZ, SPEEDS, cost_to_go
+from lpvmpc.plant.mjcf import packaged_car
 
 TS = 0.033
 Q = np.array([1.0, 0.0, 0.0, 30.0, 10.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])

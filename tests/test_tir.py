@@ -1,8 +1,8 @@
 import pytest
 
-from lpvmpc import tire
+from lpvmpc.car import tire
+from lpvmpc.car.tir import read_tir
 from lpvmpc.errors import DataError
-from lpvmpc.tir import read_tir
 
 TEXT = """$ a comment
 [UNITS]

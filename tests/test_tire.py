@@ -3,8 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from lpvmpc import tire
-from lpvmpc.model import compile_model, numeric
+from lpvmpc.car import tire
+from lpvmpc.plant.mjcf import compile_model, numeric
 
 SLIPS = [0.002, 0.01, 0.05, 0.1, 0.2, 0.5, 1.0, 3.0]
 LOADS = [500.0, 2000.0, 3500.0, 5000.0, 8000.0]

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lpvmpc import cli, figures
-from lpvmpc.metrics import KEYS
+from lpvmpc.kit import cli
+from lpvmpc.picture import figures
+from lpvmpc.sim.metrics import KEYS
 
 PERIOD = 0.033
 
@@ -117,9 +118,9 @@ def test_a_weights_file_is_driven_and_recorded(run, road, tmp_path, sketch):
 
 
 def test_a_network_of_another_car_is_a_warning(run, road, track, sketch, monkeypatch):
-    from lpvmpc import model
+    from lpvmpc.plant import mjcf
 
-    monkeypatch.setattr(model, "car_sha256", lambda model: "another")
+    monkeypatch.setattr(mjcf, "car_sha256", lambda model: "another")
     code, _, err = run("--scenario", road)
     assert code == 0 and err.count("\n") == 1
     assert "trained on another car than the one in use" in err
@@ -261,8 +262,8 @@ def test_a_mistyped_option_leaves_the_last_run_alone(run, road, sketch, tmp_path
 
 
 def test_a_machine_that_cannot_draw_is_a_warning(run, road, sketch, monkeypatch):
-    from lpvmpc import render
     from lpvmpc.errors import RenderError
+    from lpvmpc.picture.video import render
 
     def cannot(*arguments, **options):
         raise RenderError("No EGL on this machine.")

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from lpvmpc import track_file
 from lpvmpc.errors import PathError
+from lpvmpc.road import track_file
 
 
 def write(folder, text):

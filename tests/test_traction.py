@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from lpvmpc.model import packaged_car
-from lpvmpc.traction import FRICTION_MIN, RELEASE, SLIP_RATIO, hold
+from lpvmpc.control.traction import FRICTION_MIN, RELEASE, SLIP_RATIO, hold
+from lpvmpc.plant.mjcf import packaged_car
 
 TS, MOST = 0.033, 3.0
 

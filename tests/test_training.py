@@ -9,12 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lpvmpc import collection, dataset, fit, network, tensors
+from lpvmpc import learn
+from lpvmpc.control.stiffness import network
 from lpvmpc.errors import DataError, LPVMPCError, OptionError
+from lpvmpc.kit import safetensors
+from lpvmpc.learn import collect as collection
+from lpvmpc.learn import dataset
+from lpvmpc.learn import scores as fit
 
 torch = pytest.importorskip("torch")
-from lpvmpc import training  # noqa: E402  (needs torch)
-from lpvmpc.training import Job, preset, splits, train  # noqa: E402
+from lpvmpc.learn import train as training  # noqa: E402  (needs torch)
+from lpvmpc.learn.train import Job, preset, splits, train  # noqa: E402
 
 SCRIPT = Path(__file__).parents[1] / "data_gen" / "train.py"
 
@@ -127,7 +132,7 @@ def test_torch_and_the_compiled_network_agree(data, car, name):
         # outputs below 5 % of the nominal stiffness are bounded, which is rare
         assert loss == pytest.approx(trained.curve[-1, 2], rel=1e-3)
         return
-    samples = fit.samples_of(data, car)
+    samples = dataset.samples_of(data, car)
     error, z = 0.0, np.zeros(3)
     for k in np.flatnonzero(mask):
         for i, axle in enumerate("fr"):
@@ -291,10 +296,8 @@ def test_an_unwritable_place_is_one_sentence(run, file, tmp_path):
 
 def test_a_missing_torch_is_one_sentence(run, file, monkeypatch):
     monkeypatch.setitem(sys.modules, "torch", None)
-    monkeypatch.delitem(sys.modules, "lpvmpc.training")
-    import lpvmpc
-
-    monkeypatch.delattr(lpvmpc, "training")
+    monkeypatch.delitem(sys.modules, "lpvmpc.learn.train")
+    monkeypatch.delattr(learn, "train")
     code, out, err = run("--data", file)
     assert code == 2 and err == (
         "Error: Training needs torch; pip install 'lpvmpc[train]' brings it.\n"
@@ -316,6 +319,6 @@ def test_ctrl_c_leaves_a_checkpoint_to_resume(file, tmp_path):
     out, err = process.communicate(timeout=60)
     assert (process.returncode, out) == (130, "")
     assert err == "Interrupted; --resume goes on from here.\n"
-    arrays, _ = tensors.read(checkpoint)
+    arrays, _ = safetensors.read(checkpoint)
     assert 0 < arrays["progress"][0] < 5000
     assert not (tmp_path / "w.safetensors").exists()

@@ -4,7 +4,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lpvmpc import tuning, weights_file
+from lpvmpc.control import weights_file
+from lpvmpc.tune import tuning
 
 SCRIPT = Path(__file__).parents[1] / "eval" / "tune.py"
 SMALL = ("--generations", 2, "--population", 4, "--jobs", 1, "--controller", "pure-pursuit")

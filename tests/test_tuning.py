@@ -5,11 +5,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lpvmpc import batch, tuning, tuning_report, weights_file
-from lpvmpc.controllers import CONTROLLERS
+from lpvmpc.control import weights_file
+from lpvmpc.control.formulation import Weights
+from lpvmpc.control.registry import CONTROLLERS
 from lpvmpc.errors import DataError, LPVMPCError, OptionError, UnknownNameError
-from lpvmpc.formulation import Weights
-from lpvmpc.tuning import NERVOUS, Space, Task, stages, tune
+from lpvmpc.sim import batch
+from lpvmpc.tune import tuning, tuning_report
+from lpvmpc.tune.tuning import NERVOUS, Space, Task, stages, tune
 
 TASK = Task(controller="stanley", generations=4, population=6, scenarios=("tuning-b",))
 

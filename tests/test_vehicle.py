@@ -4,11 +4,11 @@ import shutil
 
 import pytest
 
-from lpvmpc import tire, vehicle
+from lpvmpc.car import tire
 from lpvmpc.errors import ModelError, OptionError, UnknownNameError
-from lpvmpc.model import compile_model, model_path, models_dir, numeric, packaged_car
+from lpvmpc.plant import mjcf
+from lpvmpc.plant.mjcf import compile_model, model_path, models_dir, numeric, packaged_car
 from lpvmpc.units import GRAVITY
-from lpvmpc.vehicle import VehicleParams
 
 
 @pytest.fixture(scope="module")
@@ -66,11 +66,11 @@ def test_parameters_no_car_can_have_are_refused(car):
 
 def test_a_missing_or_broken_file_is_one_sentence(tmp_path):
     with pytest.raises(ModelError, match="no MJCF file"):
-        VehicleParams.load(tmp_path / "none.xml")
+        compile_model(tmp_path / "none.xml")
     broken = tmp_path / "broken.xml"
     broken.write_text("<mujoco><worldbody>")
     with pytest.raises(ModelError, match="no valid MJCF") as error:
-        VehicleParams.load(broken)
+        compile_model(broken)
     assert "\n" not in str(error.value)
 
 
@@ -83,12 +83,12 @@ def test_models_are_found_from_any_folder(tmp_path, monkeypatch):
 def test_models_are_found_inside_an_installed_package(tmp_path, monkeypatch):
     package = tmp_path / "site-packages" / "lpvmpc"
     shutil.copytree(models_dir(), package / "models")
-    monkeypatch.setattr(vehicle, "__file__", str(package / "vehicle.py"))
+    monkeypatch.setattr(mjcf, "PACKAGE", package)
     assert models_dir() == package / "models"
 
 
 def test_an_installation_without_models_says_so(tmp_path, monkeypatch):
-    monkeypatch.setattr(vehicle, "__file__", str(tmp_path / "lpvmpc" / "vehicle.py"))
+    monkeypatch.setattr(mjcf, "PACKAGE", tmp_path / "lpvmpc")
     with pytest.raises(ModelError, match="installation is damaged"):
         models_dir()
 

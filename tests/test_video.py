@@ -5,8 +5,8 @@ import av
 import numpy as np
 import pytest
 
-from lpvmpc import video
 from lpvmpc.errors import DataError, OptionError, OutputError
+from lpvmpc.picture.video import encode
 
 
 def picture(k, width=96, height=64):
@@ -20,7 +20,7 @@ def picture(k, width=96, height=64):
 def film(tmp_path):
     """Two seconds at 30 frames per second."""
     file = tmp_path / "film.mp4"
-    with video.Encoder(file, 96, 64, 30) as encoder:
+    with encode.Encoder(file, 96, 64, 30) as encoder:
         for k in range(60):
             encoder.add(picture(k))
     return file
@@ -58,7 +58,7 @@ def test_pictures_come_back_in_order_and_at_their_rate(film):
 def test_colours_survive_the_video(tmp_path):
     shades = np.array(((200, 40, 40), (40, 180, 60), (30, 60, 200), (128, 128, 128)), np.uint8)
     frame = np.repeat(np.repeat(shades.reshape(2, 2, 3), 32, axis=0), 32, axis=1)
-    with video.Encoder(tmp_path / "film.mp4", 64, 64, 30) as encoder:
+    with encode.Encoder(tmp_path / "film.mp4", 64, 64, 30) as encoder:
         encoder.add(frame)
     back = decode(tmp_path / "film.mp4")[0][0].astype(int)
     for row, column in ((16, 16), (16, 48), (48, 16), (48, 48)):  # centres of the patches
@@ -75,7 +75,7 @@ def test_vp9_takes_over_where_there_is_no_h264(tmp_path, monkeypatch):
         return real(name, mode)
 
     monkeypatch.setattr(av.codec, "Codec", without_x264)
-    with video.Encoder(tmp_path / "film.mp4", 96, 64, 30) as encoder:
+    with encode.Encoder(tmp_path / "film.mp4", 96, 64, 30) as encoder:
         for k in range(10):
             encoder.add(picture(k))
     pictures, codec, _ = decode(tmp_path / "film.mp4")
@@ -83,14 +83,14 @@ def test_vp9_takes_over_where_there_is_no_h264(tmp_path, monkeypatch):
 
 
 def test_a_file_without_pictures_is_not_kept(tmp_path):
-    with video.Encoder(tmp_path / "film.mp4", 96, 64, 30):
+    with encode.Encoder(tmp_path / "film.mp4", 96, 64, 30):
         pass
     assert not list(tmp_path.iterdir())
 
 
 def test_a_full_disk_is_told_and_leaves_nothing(tmp_path):
     with pytest.raises(OutputError, match="No space left"):
-        with video.Encoder(tmp_path / "film.mp4", 96, 64, 30) as encoder:
+        with encode.Encoder(tmp_path / "film.mp4", 96, 64, 30) as encoder:
             encoder.container = FullDisk(encoder.container)
             for k in range(60):
                 encoder.add(picture(k))
@@ -108,14 +108,14 @@ class FullDisk:
 
 
 def test_the_name_appears_only_when_the_file_is_whole(tmp_path):
-    with video.Encoder(tmp_path / "film.mp4", 96, 64, 30) as encoder:
+    with encode.Encoder(tmp_path / "film.mp4", 96, 64, 30) as encoder:
         encoder.add(picture(0))
         assert not (tmp_path / "film.mp4").exists()
     assert os.listdir(tmp_path) == ["film.mp4"]
 
 
 def test_the_moving_picture_repeats_for_ever_and_is_small(film, tmp_path):
-    file = video.moving_picture(film, tmp_path / "readme" / "film.webp", start=0.5, seconds=1.0,
+    file = encode.moving_picture(film, tmp_path / "readme" / "film.webp", start=0.5, seconds=1.0,
                                 width=48, fps=10, limit=20_000)
     data = file.read_bytes()
     assert data[:4] == b"RIFF" and data[8:12] == b"WEBP"
@@ -127,7 +127,7 @@ def test_the_moving_picture_repeats_for_ever_and_is_small(film, tmp_path):
 
 def test_a_limit_that_no_quality_meets_is_refused(film, tmp_path):
     with pytest.raises(OptionError, match="limit is 100"):
-        video.moving_picture(film, tmp_path / "film.webp", limit=100)
+        encode.moving_picture(film, tmp_path / "film.webp", limit=100)
     assert not (tmp_path / "film.webp").exists()
 
 
@@ -135,15 +135,15 @@ def test_a_limit_that_no_quality_meets_is_refused(film, tmp_path):
 def test_a_missing_or_short_video_is_named(start, film, tmp_path):
     file = film if start else tmp_path / "none.mp4"
     with pytest.raises(DataError, match=file.name):
-        video.moving_picture(file, tmp_path / "x.webp", start=start)
+        encode.moving_picture(file, tmp_path / "x.webp", start=start)
 
 
 def test_a_damaged_video_is_named(tmp_path):
     (tmp_path / "bad.mp4").write_bytes(b"not a video" * 100)
     with pytest.raises(DataError, match="bad.mp4"):
-        video.moving_picture(tmp_path / "bad.mp4", tmp_path / "x.webp")
+        encode.moving_picture(tmp_path / "bad.mp4", tmp_path / "x.webp")
 
 
 def test_a_folder_that_cannot_be_written_is_named(film, tmp_path):
     with pytest.raises(OutputError, match="x.webp"):
-        video.moving_picture(film, film / "x.webp")
+        encode.moving_picture(film, film / "x.webp")

@@ -11,8 +11,8 @@ import threading
 import pytest
 from fake_log import fake_log
 
-from lpvmpc import render
 from lpvmpc.errors import RenderError
+from lpvmpc.picture.video import render
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 FLAGS = ("--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --mute-audio "

@@ -3,11 +3,11 @@ import json
 import numpy as np
 import pytest
 
-from lpvmpc import weights_file
-from lpvmpc.controllers import CONTROLLERS
+from lpvmpc.control import weights_file
+from lpvmpc.control.formulation import PAPER_WEIGHTS, Weights
+from lpvmpc.control.registry import CONTROLLERS
 from lpvmpc.errors import DataError, OptionError, OutputError
-from lpvmpc.formulation import PAPER_WEIGHTS, Weights
-from lpvmpc.names import load_controller
+from lpvmpc.sim.names import load_controller
 
 
 def test_what_is_written_is_read_to_the_last_bit(tmp_path):

@@ -4,8 +4,9 @@ import pickle
 import numpy as np
 import pytest
 
+from lpvmpc.car.aero import aero_wrench
 from lpvmpc.errors import OptionError
-from lpvmpc.wind import Wind, aero_wrench
+from lpvmpc.road.wind import Wind
 
 AIR = (1.225, 0.464, 1.5, 0.15)  # density, drag area, side area, lever: the car of the paper
 

@@ -11,16 +11,17 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.optimize import root
 
-from lpvmpc import bicycle
-from lpvmpc.axle import Axle, axles, lateral_force
-from lpvmpc.bicycle import Bicycle
+from lpvmpc.car import bicycle
+from lpvmpc.car.axle import Axle, axles, lateral_force
+from lpvmpc.car.bicycle import Bicycle
+from lpvmpc.car.params import VehicleParams
 from lpvmpc.interface import Command
-from lpvmpc.plant import Plant
-from lpvmpc.studies import multibody, plots
-from lpvmpc.studies.multibody import SPEED
+from lpvmpc.plant.plant import Plant
+from lpvmpc.studies import plots
+from lpvmpc.studies.reference import multibody
+from lpvmpc.studies.reference.multibody import SPEED
 from lpvmpc.studies.study import CarUnderTest, Limit, Picture, Series, StudyResult, Table
 from lpvmpc.units import Array
-from lpvmpc.vehicle import VehicleParams
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -43,13 +44,15 @@ MODELS = (LINEAR, AXLES, MULTIBODY)
 
 METHOD = f"""\
 **Models.** All get the documented car's parameters, the same road wheel angle and a speed of
-{SPEED:g} m/s, which each holds by its own drive. *Linear single track*: `lpvmpc.bicycle` with
+{SPEED:g} m/s, which each holds by its own drive. *Linear single track*: `lpvmpc.car.bicycle` with
 constant axle stiffness; in steady states only the tires are linear, angles are not. *Single track,
 tire law*: the same with the Magic Formula at the wheel loads that follow from roll
-(`lpvmpc.axle`); it shares the tire with the simulation and nothing else. *CommonRoad multibody*:
+(`lpvmpc.car.axle`); it shares the tire with the simulation and nothing else.
+*CommonRoad multibody*:
 `vehicle_dynamics_mb` of the package commonroad-vehicle-models (TU Munich, BSD-3), 29 states, other
-people's code; its parameters are ours as far as it has them (`lpvmpc/studies/multibody.py`), axle
-stiffness being the effective one, trail included. It has no load dependence of its tires, so that
+people's code; its parameters are ours as far as it has them
+(`lpvmpc/studies/reference/multibody.py`), axle stiffness being the effective one, trail included.
+It has no load dependence of its tires, so that
 it must part from ours as load moves, and no relaxation. Its results are stored with the package
 and computed anew by a test.
 

@@ -9,18 +9,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lpvmpc import cones
-from lpvmpc.cones import Course
-from lpvmpc.names import load_controller
-from lpvmpc.path import Path
-from lpvmpc.scenario import Scenario
-from lpvmpc.simulation import simulate
-from lpvmpc.speed_profile import SpeedProfile
-from lpvmpc.studies import gates, plots
-from lpvmpc.studies.gates import FlatPath, Outline
+from lpvmpc.car.params import VehicleParams
+from lpvmpc.road import cones
+from lpvmpc.road.cones import Course
+from lpvmpc.road.path import Path
+from lpvmpc.road.scenario import Scenario
+from lpvmpc.road.speed_profile import SpeedProfile
+from lpvmpc.sim.loop import simulate
+from lpvmpc.sim.names import load_controller
+from lpvmpc.studies import plots
+from lpvmpc.studies.parts import gates
+from lpvmpc.studies.parts.gates import FlatPath, Outline
 from lpvmpc.studies.study import CarUnderTest, Limit, Picture, Series, StudyResult, Table
 from lpvmpc.units import GRAVITY, Array
-from lpvmpc.vehicle import VehicleParams
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lpvmpc.car.params import VehicleParams
 from lpvmpc.interface import Command
-from lpvmpc.studies import plots, rollover
-from lpvmpc.studies.rollover import Springs
+from lpvmpc.studies import plots
+from lpvmpc.studies.parts import rollover
+from lpvmpc.studies.parts.rollover import Springs
 from lpvmpc.studies.study import CarUnderTest, Limit, Picture, StudyResult, Table
 from lpvmpc.units import GRAVITY, Array
-from lpvmpc.vehicle import VehicleParams
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,14 +10,15 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
-from lpvmpc import tire
+from lpvmpc.car import tire
 from lpvmpc.interface import Command
-from lpvmpc.names import load_controller, load_scenario
-from lpvmpc.plant import Plant
-from lpvmpc.rollout import Snapshot
-from lpvmpc.simulation import simulate
-from lpvmpc.studies import chatter, energy, plots
-from lpvmpc.studies.chatter import CHATTER, DEFAULT
+from lpvmpc.plant.plant import Plant
+from lpvmpc.plant.rollout import Snapshot
+from lpvmpc.sim.loop import simulate
+from lpvmpc.sim.names import load_controller, load_scenario
+from lpvmpc.studies import plots
+from lpvmpc.studies.parts import chatter, energy
+from lpvmpc.studies.parts.chatter import CHATTER, DEFAULT
 from lpvmpc.studies.study import CarUnderTest, Limit, Picture, Series, StudyResult, Table
 from lpvmpc.units import Array
 

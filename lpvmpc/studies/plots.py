@@ -1,4 +1,4 @@
-"""Pictures of the studies in the house style of `lpvmpc.figures`."""
+"""Pictures of the studies in the house style of `lpvmpc.picture.figures`."""
 
 from __future__ import annotations
 
@@ -6,7 +6,19 @@ import functools
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
-from lpvmpc.figures import BLUE, COLUMN, DOUBLE, DPI, GREEN, GREY, ORANGE, PINK, RED, SKY, STYLE
+from lpvmpc.picture.figures import (
+    BLUE,
+    COLUMN,
+    DOUBLE,
+    DPI,
+    GREEN,
+    GREY,
+    ORANGE,
+    PINK,
+    RED,
+    SKY,
+    STYLE,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from datetime import date
 from typing import Any
 
-from lpvmpc.provenance import commit, machine, versions
-from lpvmpc.report import markdown_table
+from lpvmpc.kit.markdown import markdown_table
+from lpvmpc.kit.provenance import commit, machine, versions
 from lpvmpc.studies.runner import cell, cells
 from lpvmpc.studies.study import TARGET, Finding, StudyResult
 

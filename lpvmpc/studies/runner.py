@@ -91,7 +91,7 @@ def conduct_one(name: str, folder: Path, broken: str | None = None) -> StudyResu
 
     A study that stops halfway, because a broken car cannot be driven, failed.
     """
-    from lpvmpc.studies.broken import break_car
+    from lpvmpc.studies.reference.broken_cars import break_car
 
     car = CarUnderTest.packaged() if broken is None else break_car(broken)
     study = load_study(name)
@@ -116,7 +116,7 @@ def save(result: StudyResult, folder: Path) -> None:
     Raises:
         OutputError: A file cannot be written.
     """
-    from lpvmpc.figures import DPI
+    from lpvmpc.picture.figures import DPI
 
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from lpvmpc.interface import Command
-from lpvmpc.plant import Plant
-from lpvmpc.studies import plots, suspension
+from lpvmpc.plant.plant import Plant
+from lpvmpc.studies import plots
+from lpvmpc.studies.reference import suspension
 from lpvmpc.studies.study import (
     CarUnderTest,
     Limit,

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from lpvmpc.car.params import VehicleParams
 from lpvmpc.errors import OptionError
-from lpvmpc.plant import Plant
+from lpvmpc.plant.plant import Plant
 from lpvmpc.studies import plots
 from lpvmpc.studies.study import TARGET, CarUnderTest, Limit, Picture, Series, StudyResult, Table
 from lpvmpc.units import GRAVITY, Array
-from lpvmpc.vehicle import VehicleParams
 
 METHOD = """\
 Steady-state circular driving after ISO 4138: on a *constant radius* of 100 m (path of the centre

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from lpvmpc import tire
+from lpvmpc.car import tire
 from lpvmpc.interface import Command
-from lpvmpc.plant import Plant
+from lpvmpc.plant.plant import Plant
 from lpvmpc.studies import plots
 from lpvmpc.studies.study import CarUnderTest, Limit, Picture, Series, StudyResult, Table
 from lpvmpc.units import GRAVITY, Array

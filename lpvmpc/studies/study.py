@@ -18,11 +18,11 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from lpvmpc.car.params import VehicleParams
 from lpvmpc.errors import UnknownNameError
-from lpvmpc.model import compile_model, parameters, tires
-from lpvmpc.plant import Plant
+from lpvmpc.plant.mjcf import compile_model, parameters, tires
+from lpvmpc.plant.plant import Plant
 from lpvmpc.units import Array
-from lpvmpc.vehicle import VehicleParams
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -8,15 +8,16 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from lpvmpc import tire
-from lpvmpc.plant import Plant
-from lpvmpc.rollout import SPIN_QVEL
-from lpvmpc.studies import golden, plots
+from lpvmpc.car import tire
+from lpvmpc.plant.plant import Plant
+from lpvmpc.plant.rollout import SPIN_QVEL
+from lpvmpc.studies import plots
+from lpvmpc.studies.reference import golden_tire
 from lpvmpc.studies.study import TARGET, CarUnderTest, Limit, Picture, Series, StudyResult, Table
 from lpvmpc.units import GRAVITY, Array
 
 METHOD = """\
-Two benches. The *law* is `lpvmpc.tire` called at given slip and load. The *engine* is the plant
+Two benches. The *law* is `lpvmpc.car.tire` called at given slip and load. The *engine* is the plant
 itself: its car is held at 20 m/s over the road, suspension travel sets the load, drift and wheel
 spin set the slip, and the forces that MuJoCo would apply are read. Sweeps are at 0.5, 1 and 1.6
 times nominal load (FNOMIN: the static wheel load), and at none.
@@ -33,7 +34,7 @@ times nominal load (FNOMIN: the static wheel load), and at none.
 - Valid for a symmetric tire upright on a dry flat road, below some 8 Hz (first-order relaxation).
 """
 
-LOADS = golden.LOADS
+LOADS = golden_tire.LOADS
 """Loads of the sweeps over FNOMIN."""
 AXLES = ("front", "rear")
 TABLE_2_MU = 0.82
@@ -361,7 +362,7 @@ def _extremes(result: StudyResult, tires: dict[str, Array], bench: Bench) -> Non
 
 
 def _golden(result: StudyResult, tires: dict[str, Array]) -> None:
-    stored = golden.read()
+    stored = golden_tire.read()
     other = tire.coefficients(stored["coefficients"]["adams"])
     for name, c in {**tires, "adams": other}.items():
         error = 0.0
@@ -458,7 +459,7 @@ def _draw_slip(tires: dict[str, Array]) -> Any:
                 1e-3 * loads * c[tire.FNOMIN], mu, color=colour, ls=style, label=f"{way}, {axle}"
             )
     axes[1, 1].axhline(TABLE_2_MU, color=plots.GREY, lw=0.8, ls=":", label="Table 2")
-    for name, _, kappa, alpha, Fx, Fy in golden.read()["rows"]:
+    for name, _, kappa, alpha, Fx, Fy in golden_tire.read()["rows"]:
         if name != "front":
             continue
         if alpha == 0.0 and abs(kappa) <= 0.3:

@@ -10,15 +10,15 @@ import numpy as np
 import numpy.typing as npt
 
 from lpvmpc.interface import Command
-from lpvmpc.plant import Plant
+from lpvmpc.plant.plant import Plant
 from lpvmpc.studies import plots
-from lpvmpc.studies.lateral_model import (
+from lpvmpc.studies.reference.lateral_model import (
     LATERAL_ACCELERATION,
     YAW_RATE,
     frequency_response,
     lateral_model,
 )
-from lpvmpc.studies.lateral_model import response as linear_response
+from lpvmpc.studies.reference.lateral_model import response as linear_response
 from lpvmpc.studies.steady_state import Linear
 from lpvmpc.studies.study import TARGET, CarUnderTest, Limit, Picture, Series, StudyResult, Table
 from lpvmpc.units import Array

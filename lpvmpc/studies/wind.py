@@ -1,7 +1,7 @@
 """Side wind: the steady crab angle and steering, and the answer to gusts.
 
 Both against the linear single track with the documented car's own axle stiffness, trails,
-relaxation lengths and roll, on which the side force of `lpvmpc.wind` acts.
+relaxation lengths and roll, on which the side force of `lpvmpc.road.wind` acts.
 """
 
 from __future__ import annotations
@@ -14,14 +14,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from lpvmpc import bicycle
-from lpvmpc.bicycle import Bicycle
+from lpvmpc.car import bicycle
+from lpvmpc.car.aero import aero_wrench
+from lpvmpc.car.bicycle import Bicycle
+from lpvmpc.car.params import VehicleParams
 from lpvmpc.interface import Command
-from lpvmpc.names import load_controller
-from lpvmpc.path import Path
-from lpvmpc.scenario import Scenario
-from lpvmpc.simulation import simulate
-from lpvmpc.speed_profile import SpeedProfile
+from lpvmpc.road.path import Path
+from lpvmpc.road.scenario import Scenario
+from lpvmpc.road.speed_profile import SpeedProfile
+from lpvmpc.road.wind import Wind
+from lpvmpc.sim.loop import simulate
+from lpvmpc.sim.names import load_controller
 from lpvmpc.studies import plots
 from lpvmpc.studies.study import (
     CarUnderTest,
@@ -33,8 +36,6 @@ from lpvmpc.studies.study import (
     relative_error,
 )
 from lpvmpc.units import Array
-from lpvmpc.vehicle import VehicleParams
-from lpvmpc.wind import Wind, aero_wrench
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -61,8 +62,9 @@ force `Fw` at `x` ahead of the centre of mass: `Fyf = -Fw (b + x)/(a + b)`, `Fyr
 sideslip `-Fyr/Cr`, steer `Fyf/Cf` plus sideslip. `Fw` depends on the sideslip itself, so it is
 found by iteration.
 
-**Closed form, gusts.** The linear single track with relaxation and roll (`lpvmpc.bicycle`), driven
-by the side force of the gust, steering held straight; integrated by an adaptive Runge-Kutta method.
+**Closed form, gusts.** The linear single track with relaxation and roll
+(`lpvmpc.car.bicycle`), driven by the side force of the gust, steering held straight; integrated
+by an adaptive Runge-Kutta method.
 Gusts: a one-minus-cosine of 10 m/s that lasts 1 s, and a step to 15 m/s, both at 100 km/h. ISO
 12021 (crosswind sensitivity) has such a test; its track and evaluation are not claimed here.
 

@@ -1,0 +1,1 @@
+"""What adapting the stiffness is worth, and how long a period takes."""

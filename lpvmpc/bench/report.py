@@ -1,0 +1,367 @@
+"""The ablation as a report: Markdown, CSV, JSON, and a picture of error over grip."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+from lpvmpc.bench.cases import (
+    ABOUT,
+    CHARGE,
+    DRY,
+    GRIPS,
+    GROUPS,
+    MODELS,
+    PLAIN,
+    Model,
+    Row,
+    Search,
+    geometric_mean,
+)
+from lpvmpc.bench.verdict import Bar, Table, bars, sentences
+from lpvmpc.errors import OutputError
+from lpvmpc.kit.markdown import markdown_table
+from lpvmpc.kit.provenance import commit, machine, versions
+
+DEFINITIONS = """\
+Definitions:
+
+- Every cell is one closed loop on the MuJoCo car, which begins trimmed on the road at its first \
+speed: true state without noise or delay, control every 33 ms. Errors are those of the true centre \
+of mass to the path, at every control instant from the first; RMSE is over all of them.
+- A run is lost when the car is more than 5 m off the path, turned by more than 90 degrees, rolled \
+over, stuck, or needs twice the reference's time; tables say where. In means and ratios a lost run \
+is charged 5 m as its RMSE and as its largest error.
+- The share of the grip, in percent, is the lateral acceleration that the speed is planned for, \
+over the car's steady limit times the announced friction.
+- "Drop to 0.75" is a road of 0.75 of the friction that the speed was planned for, for the whole \
+lap; "step at s" is a road planned for friction 0.5 throughout, which is dry (1.0) up to s and has \
+0.5 from there on. Neither is announced to any controller; the oracles are told the true friction \
+of where they are.
+- x0.7, x1.3 and noise multiply the axle forces that the model tells the controller, offset and \
+slope alike; the noise is drawn anew each period for each axle.
+- "Made wrong" is each of these, at 87 % of the grip. "Beside the oracle": up to 87 % of the grip \
+an error may be 1.3 times that of `oracle` plus 1 mm, at 92 % twice that of `oracle`.
+- "Duration off" is by how much the lap's time differs from the reference's.
+- "The better constant" of a case is the better of `constant` and `constant-best`. Two errors \
+count as alike where their ratio is below 1.1.
+- All models drive with one set of weights, with the observer and without it. They were tuned with \
+`network` and the observer (`eval/tune.py`): {weights}.
+- Everything is deterministic: one run per cell has no spread. The noise is driven with three \
+seeds.
+"""
+
+
+def report(
+    rows: Sequence[Row], searches: Mapping[bool, Search], *, quick: bool, jobs: int, picture: str
+) -> str:
+    """The report in Markdown."""
+    table, found = Table(rows), bars(Table(rows))
+    used = ", ".join(f"{name} {number}" for name, number in versions().items())
+    title = "What adapting the cornering stiffness is worth"
+    lines = [
+        f"# {title}" + (" (quick look: a few cases, not the report)" if quick else ""),
+        "",
+        f"Machine: {machine()}; {jobs} run{'s' if jobs > 1 else ''} at a time.",
+        f"Versions: {used}; commit {commit() or 'unknown'}; {date.today().isoformat()}.",
+        "Seeds: 0 for the controllers (none of them draws), 0, 1 and 2 for the noise.",
+        "",
+        DEFINITIONS.format(weights=weights()),
+        "Models:",
+        "",
+        *(f"- `{model.key}`: {ABOUT[model.key]}." for model in (*MODELS, DRY, PLAIN)),
+        "",
+        "## Verdict",
+        "",
+        *(f"- {sentence}" for sentence in sentences(table, dict(searches))),
+        "",
+        bars_table(found),
+        bars_sentence(found),
+        "",
+        "## Tables",
+        "",
+        summary_table(table),
+        *(group_table(rows, group) for group in GROUPS),
+        gain_table(table),
+        f"![Error over grip]({picture})",
+        "",
+        "Lateral error on circuit over the share of the grip, without wind. A cross above the "
+        "dotted line is a lost car.",
+        "",
+        "## The best constant stiffness",
+        "",
+        search_table(searches),
+        "Searched on the tuning roads alone, which none of the tables above contains; the best is "
+        "what `constant-best` drives with.",
+        "",
+        "## Limits",
+        "",
+        "- One car, one set of tires, one set of weights; no sensor noise and no delay here.",
+        "- The weights were tuned with `network`; each other model might do better with its own.",
+        "- The networks were trained on data of this plant, so they know its tires as well as data "
+        "can tell them. What a wrong model costs is in the table of models made wrong.",
+        "- Step times are CPU time of the thread on circuit at 87 %, and depend on what else the "
+        "machine does.",
+        "",
+        f"Made by `python eval/benchmark.py{' --quick' if quick else ''}`; every run is in "
+        "benchmark.csv beside this file.",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def weights() -> str:
+    """The weights that the controller ships with."""
+    from lpvmpc.control.formulation import Weights
+    from lpvmpc.control.weights_file import shipped
+
+    used = asdict(shipped("lpv-mpc", Weights()))
+    return ", ".join(f"{name} {value:g}" for name, value in used.items())
+
+
+def cell(row: Row | None) -> str:
+    """RMSE and largest error of a run in mm, or where it was lost."""
+    if row is None:
+        return "-"
+    if row.completed:
+        return f"{short(1e3 * row.rmse)} / {short(1e3 * row.largest)}"
+    return _lost(row)
+
+
+def _lost(row: Row) -> str:
+    reason, s = str(row.result["reason"]), row.result["s_end_m"]
+    if s is None:
+        return "failed"
+    kinds = {"off": "off", "spun": "spun", "rolled": "rolled", "stuck": "stuck", "too": "slow"}
+    return f"{kinds.get(reason.partition(' ')[0].rstrip(':'), 'failed')} at {s:.0f} m"
+
+
+def short(value: float) -> str:
+    """A length with two digits or all before the point."""
+    return f"{value:.2f}" if value < 1.0 else f"{value:.1f}" if value < 10.0 else f"{value:.0f}"
+
+
+def _lines(rows: Sequence[Row]) -> list[tuple[Model, bool]]:
+    """The lines of a table: models with the observer, then without, then the plain one."""
+    there = {(r.model.key, r.observer) for r in rows}
+    wanted = [(m, observer) for observer in (True, False) for m in (*MODELS, DRY, PLAIN)]
+    return [(m, observer) for m, observer in wanted if (m.key, observer) in there]
+
+
+def group_table(rows: Sequence[Row], group: str) -> str:
+    """Errors of all models in the cases of a group; empty where none was driven."""
+    rows = [r for r in rows if r.case.group == group]
+    if not rows:
+        return ""
+    table = Table(rows)
+    cases = list({r.case.key: r.case for r in rows}.values())
+    body = [
+        [m.key, _yes(observer), *(cell(table.get(case.key, m.key, observer)) for case in cases)]
+        for m, observer in _lines(rows)
+    ]
+    header = ["model", "observer", *(case.title for case in cases)]
+    return markdown_table(f"{GROUPS[group]}: lateral RMSE / largest error [mm]", header, body)
+
+
+def gain_table(table: Table) -> str:
+    """How many times more exact than the better constant each model is on the circuit."""
+    body = []
+    for m, observer in _lines([r for r in table.rows if r.case.group == "grip"]):
+        if m.stiffness != "constant":
+            gains = [table.gain(f"circuit-{grip:g}", m.key, observer) for grip in GRIPS]
+            body.append([m.key, _yes(observer), *("-" if g is None else f"{g:.2g}" for g in gains)])
+    header = ["model", "observer", *(f"{100 * grip:.0f} %" for grip in GRIPS)]
+    title = "Circuit without wind: RMSE of the better constant over the model's"
+    return markdown_table(title, header, body)
+
+
+def summary_table(table: Table) -> str:
+    """Per model: lost runs, typical error, and step times on one road."""
+    body = []
+    for m, observer in _lines([r for r in table.rows if not r.case.wrong and r.model != DRY]):
+        rows = table.of(m.key, observer)
+        timed = table.get("circuit-0.87", m.key, observer) or rows[0]
+        times = timed.result["step_time_us"] or {}
+        p50, p99 = times.get("p50"), times.get("p99")
+        lost = sum(not r.completed for r in rows)
+        body.append([
+            m.key, _yes(observer), f"{lost} of {len(rows)}",
+            short(1e3 * geometric_mean(r.rmse for r in rows)),
+            "-" if p50 is None else f"{p50:.0f}", "-" if p99 is None else f"{p99:.0f}",
+        ])  # fmt: skip
+    header = ("model", "observer", "lost", "RMSE [mm]", "p50 [us]", "p99 [us]")
+    title = "All roads, no model made wrong: geometric mean of the RMSE; step time"
+    return markdown_table(title, header, body)
+
+
+def search_table(searches: Mapping[bool, Search]) -> str:
+    """Cost of each constant stiffness that was tried."""
+    scales = sorted({scale for found in searches.values() for scale in found.cost})
+    body = []
+    for scale in scales:
+        line = [f"x{scale:g}"]
+        for observer in (True, False):
+            found = searches[observer]
+            if scale not in found.cost:
+                line.append("")
+                continue
+            lost = f" ({found.lost[scale]} lost)" if found.lost[scale] else ""
+            best = " best" if scale == found.best else ""
+            line.append(f"{1e3 * found.cost[scale]:.2f}{lost}{best}")
+        body.append(line)
+    header = ("stiffness", "with observer", "without observer")
+    title = "Constant stiffness on the tuning roads: geometric mean of the lateral RMSE [mm]"
+    return markdown_table(title, header, body)
+
+
+def bars_table(found: Sequence[Bar]) -> str:
+    """The promises that were measured, with figure, limit and verdict."""
+    body = [
+        (
+            bar.text,
+            f"{bar.value:.3f}" if 0.0 < bar.value < 1.0 else f"{bar.value:.3g}",
+            f"{'>=' if bar.at_least else '<='} {bar.limit:.3g}",
+            bar.unit,
+            "met" if bar.ok else "MISSED",
+        )
+        for bar in found
+        if bar.value is not None
+    ]
+    title = "Promises about the network with the observer; circuit without wind"
+    return markdown_table(title, ("figure", "value", "limit", "unit", "verdict"), body)
+
+
+def bars_sentence(found: Sequence[Bar]) -> str:
+    """How many promises are met, and which are not."""
+    measured = [bar for bar in found if bar.ok is not None]
+    bad = [bar for bar in measured if not bar.ok]
+    rest = f"; {len(found) - len(measured)} were not measured" if len(measured) < len(found) else ""
+    if not bad:
+        return f"All {len(measured)} promises that were measured are met{rest}."
+    named = "; ".join(bar.text for bar in bad)
+    return f"{len(measured) - len(bad)} of {len(measured)} are met, not met: {named}{rest}."
+
+
+def _yes(observer: bool) -> str:
+    return "yes" if observer else "no"
+
+
+# Files --------------------------------------------------------------------------------------------
+
+COLUMNS = (
+    "completed", "reason", "s_end_m", "duration_s", "reference_duration_s", "lateral_rmse_m",
+    "lateral_max_m", "heading_rmse_rad", "course_rmse_rad", "speed_rmse_mps",
+)  # fmt: skip
+"""Metrics in benchmark.csv."""
+
+
+def as_csv(rows: Iterable[Row]) -> str:
+    """Every run, one line each."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    head = ("group", "case", "model", "observer")
+    writer.writerow((*head, *COLUMNS, "step_p50_us", "step_p99_us"))
+    for row in rows:
+        times = row.result["step_time_us"] or {}
+        values = [row.result[name] for name in COLUMNS]
+        values += [times.get("p50"), times.get("p99")]
+        shown = (f"{v:.6g}" if isinstance(v, float) else "" if v is None else v for v in values)
+        writer.writerow((row.case.group, row.case.key, row.model.key, _yes(row.observer), *shown))
+    return text.getvalue()
+
+
+def as_json(
+    rows: Sequence[Row], searches: Mapping[bool, Search], *, quick: bool, jobs: int
+) -> dict[str, Any]:
+    """One object: the promises by key, the sentences, the searches, every run, the conditions."""
+    table = Table(rows)
+    return {
+        "bars": {
+            bar.key: {
+                "text": bar.text, "value": bar.value, "unit": bar.unit,
+                "limit": None if bar.limit != bar.limit else bar.limit,
+                "at_least": bar.at_least, "ok": bar.ok,
+            }
+            for bar in bars(table)
+        },
+        "sentences": sentences(table, dict(searches)),
+        "constant": {
+            _yes(observer): {
+                "best": found.best,
+                "cost_m": {f"{scale:g}": cost for scale, cost in found.cost.items()},
+            }
+            for observer, found in searches.items()
+        },
+        "runs": [
+            {
+                "group": row.case.group, "case": row.case.key, "model": row.model.key,
+                "observer": row.observer, **{name: row.result[name] for name in COLUMNS},
+                "step_time_us": row.result["step_time_us"],
+            }
+            for row in rows
+        ],
+        "record": {
+            "quick": quick, "jobs": jobs, "machine": machine(), "versions": versions(),
+            "commit": commit(),
+        },
+    }  # fmt: skip
+
+
+def draw(rows: Sequence[Row], file: Path) -> None:
+    """Write the picture: errors on the circuit over the share of the grip, log scale.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    from lpvmpc.picture import figures as house
+
+    styles = {
+        "constant": (house.GREY, "o", "-"), "constant-best": ("black", "o", "-"),
+        "network-secant": (house.ORANGE, "s", "-"), "network": (house.BLUE, "D", "-"),
+        "oracle-secant": (house.ORANGE, "s", "--"), "oracle": (house.BLUE, "D", "--"),
+        "lpv-mpc-paper": (house.RED, "^", "-"),
+    }  # fmt: skip
+    rows = [row for row in rows if row.case.group == "grip"]
+    with matplotlib.rc_context({**matplotlib.rcParamsDefault, **house.STYLE}):
+        figure = Figure(figsize=(house.DOUBLE, 5.2))
+        FigureCanvasAgg(figure)
+        grid = figure.subplots(2, 2, sharex=True, sharey="row")
+        for line, measure in zip(grid, ("rmse", "largest"), strict=True):
+            for axes, observer in zip(line, (True, False), strict=True):
+                for i, (m, _) in enumerate(e for e in _lines(rows) if e[1] == observer):
+                    own = [r for r in rows if r.model is m and r.observer == observer]
+                    colour, marker, dash = styles[m.key]
+                    grip = [100.0 * r.case.options["grip"] for r in own]
+                    error = [1e3 * getattr(r, measure) if r.completed else None for r in own]
+                    face = "white" if dash == "--" else colour
+                    axes.plot(grip, error, dash, color=colour, marker=marker, ms=3, mfc=face,
+                              label=m.key)  # fmt: skip
+                    lost = [g for g, e in zip(grip, error, strict=True) if e is None]
+                    # one above the other, where several models lose the car at the same speed
+                    height = 1e3 * CHARGE * 1.3 ** (i + 1)
+                    axes.plot(lost, [height] * len(lost), "x", color=colour, ms=4, mew=1.2)
+                axes.axhline(1e3 * CHARGE, color="black", lw=0.6, ls=":")
+                axes.set_yscale("log")
+                axes.set_ylim(top=1e3 * CHARGE * 1.3 ** (len(styles) + 1))
+        for axes, title in zip(grid[0], ("with the observer", "without it"), strict=True):
+            axes.set_title(title)
+        grid[0, 0].set_ylabel("lateral RMSE [mm]")
+        grid[1, 0].set_ylabel("largest lateral error [mm]")
+        for axes in grid[1]:
+            axes.set_xlabel("share of the grip [%]")
+        handles, labels = grid[0, 1].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=4, handlelength=2.4)
+        part = file.with_name(file.name + ".part")
+        try:
+            figure.savefig(part, dpi=200, format="png", metadata={"Software": None})
+            part.replace(file)
+        except OSError as error:
+            raise OutputError(f"Cannot write {str(file)!r}: {error.strerror or error}.") from error

@@ -1,0 +1,133 @@
+"""The package's controllers and stiffness models by name.
+
+A new controller is one file with a class or maker that takes the car first (`interface` says what
+it must have), and one line in `CONTROLLERS`; its tuned weights lie in `weights/NAME.toml`.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any
+
+from lpvmpc.car.params import VehicleParams
+from lpvmpc.control.stiffness.models import StiffnessModel
+from lpvmpc.errors import OptionError, UnknownNameError
+from lpvmpc.interface import Controller
+from lpvmpc.units import Array
+
+CONTROLLERS = {
+    "lpv-mpc": ("lpv_mpc", "adaptive"),
+    "lpv-mpc-paper": ("lpv_mpc", "plain"),
+    "lmpc-pso-pid": ("lmpc", "LMPC"),
+    "stanley": ("geometric", "Stanley"),
+    "pure-pursuit": ("geometric", "PurePursuit"),
+}
+"""Controllers by name: module of this package, and class or maker; the default first."""
+
+STIFFNESS_MODELS = {
+    "constant": ("stiffness.models", "ConstantStiffness"),
+    "network": ("stiffness.models", "NetworkStiffness"),
+    "network-dry": ("stiffness.models", "DryNetwork"),
+    "network-secant": ("stiffness.secant_network", "SecantNetwork"),
+    "oracle": ("stiffness.models", "OracleStiffness"),
+    "oracle-secant": ("stiffness.models", "SecantOracle"),
+}
+"""Stiffness models by name: module and class, made from the car."""
+
+Coefficients = tuple[Array, Array]
+"""Magic Formula coefficients of the front and of the rear tires."""
+
+
+def make_controller(
+    name: str, car: VehicleParams, coefficients: Callable[[], Coefficients], **options: Any
+) -> Controller:
+    """A controller of the package by name.
+
+    Args:
+        name: One of `CONTROLLERS`.
+        car: Parameters of the car it drives.
+        coefficients: Gives the tires' coefficients; called for the oracle alone.
+        options: Arguments of its maker. A stiffness model may be named, be given the network of a
+            `stiffness_file`, and made wrong by `stiffness_scale`, `stiffness_noise` and
+            `stiffness_seed` (see `perturbed`); a formulation may be a dictionary of what differs
+            from the default.
+
+    Raises:
+        UnknownNameError: No such controller, stiffness model or part of a formulation.
+        OptionError: An option outside its domain, or one that this controller does not have.
+    """
+    if name not in CONTROLLERS:
+        raise UnknownNameError("controller", name, [*CONTROLLERS, "module:Class (your own)"])
+    maker = _attribute(*CONTROLLERS[name])
+    known = inspect.signature(maker).parameters
+    if "stiffness" in known:
+        options = _with_stiffness(options, car, coefficients)
+    elif (asked := options.pop("stiffness", None)) not in (None, "constant"):
+        raise OptionError("stiffness", asked, f"left out for {name}, which adapts to nothing")
+    for option in options:
+        if option not in known:
+            raise OptionError(f"option {option}", options[option], f"left out for {name}")
+    return maker(car, **options)
+
+
+def _with_stiffness(
+    options: dict[str, Any], car: VehicleParams, coefficients: Callable[[], Coefficients]
+) -> dict[str, Any]:
+    """The options with the stiffness model in place of its name and of what changes it."""
+    options = dict(options)
+    parts = ("file", "scale", "noise", "seed")
+    wrong = {k: options.pop(f"stiffness_{k}") for k in parts if f"stiffness_{k}" in options}
+    name = options.get("stiffness")
+    if not isinstance(name, str):
+        if not wrong:
+            return options
+        given = ", ".join(f"stiffness_{part}" for part in wrong)
+        raise OptionError("stiffness", name, f"a model by name, since {given} is given")
+    return {**options, "stiffness": make_stiffness(name, car, coefficients, **wrong)}
+
+
+def make_stiffness(
+    name: str,
+    car: VehicleParams,
+    coefficients: Callable[[], Coefficients],
+    *,
+    file: str | None = None,
+    **wrong: Any,
+) -> StiffnessModel:
+    """A stiffness model by name.
+
+    Args:
+        name: One of `STIFFNESS_MODELS`.
+        car: Parameters of the car.
+        coefficients: Gives the tires' coefficients; called for the oracle alone.
+        file: Trained network in place of the shipped one.
+        wrong: What makes it wrong on purpose: `scale`, `noise`, `seed` of `PerturbedStiffness`.
+
+    Raises:
+        UnknownNameError: No such model.
+        DataError: The network's file is missing, damaged, or of another kind.
+        OptionError: A number outside its domain.
+    """
+    if name not in STIFFNESS_MODELS:
+        raise UnknownNameError("stiffness model", name, STIFFNESS_MODELS)
+    maker = _attribute(*STIFFNESS_MODELS[name])
+    more: list[Any] = []
+    if "coefficients" in inspect.signature(maker).parameters:
+        more.append(coefficients())
+    if file is not None:
+        from lpvmpc.control.stiffness.network import load_weights
+
+        more.append(load_weights(name, file))
+    model: StiffnessModel = maker(car, *more)
+    if wrong:
+        from lpvmpc.control.stiffness.perturbed import PerturbedStiffness
+
+        model = PerturbedStiffness(model, **wrong)
+    return model
+
+
+def _attribute(module: str, name: str) -> Any:
+    """A class or function of this package, imported now."""
+    return getattr(import_module(f"lpvmpc.control.{module}"), name)

@@ -1,0 +1,1 @@
+"""What the axles' lateral force does next: the models that adapt the controller."""

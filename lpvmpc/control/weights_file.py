@@ -1,0 +1,158 @@
+"""Controller weights in TOML files: what `eval/tune.py` writes and `eval/track.py --weights` reads.
+
+    controller = "lpv-mpc"
+
+    [weights]
+    q_ey = 80.0
+
+    [record]
+    seed = 0
+
+`weights` may name some of the controller's weights or all of them; those it leaves out keep the
+values that were set by hand. `record` says where the weights come from, and is not read. The
+package's own files lie in `lpvmpc/control/weights/`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tomllib
+from collections.abc import Mapping
+from dataclasses import asdict, fields, replace
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any, TypeVar
+
+from lpvmpc.errors import DataError, OptionError, OutputError
+
+WeightsT = TypeVar("WeightsT")
+
+
+def read_weights(file: str | os.PathLike[str], controller: str | None = None) -> dict[str, float]:
+    """Named weights from a file.
+
+    Args:
+        file: A TOML file as above.
+        controller: The controller they must be for (default: any).
+
+    Raises:
+        DataError: The file is missing, no TOML, for another controller, or holds something that is
+            no number.
+    """
+    path = os.fspath(file)
+    try:
+        content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        why = error.strerror or str(error)
+        raise DataError(f"Weights file {path!r} cannot be read: {why}.") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise DataError(f"Weights file {path!r} is no TOML: {error}.") from error
+    weights = content.get("weights")
+    if not isinstance(weights, dict) or not weights:
+        raise DataError(f"Weights file {path!r} has no table [weights] with a number per weight.")
+    tuned_for = content.get("controller")
+    if not isinstance(tuned_for, str):
+        raise DataError(f"Weights file {path!r} does not say for which controller: "
+                        'controller = "NAME".')  # fmt: skip
+    if controller is not None and tuned_for != controller:
+        raise DataError(f"Weights file {path!r} is for controller {tuned_for!r}, but "
+                        f"{controller!r} drives.")  # fmt: skip
+    for name, value in weights.items():
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise DataError(f"Weights file {path!r}: {name} is {value!r}, but must be a number.")
+    return {name: float(value) for name, value in weights.items()}
+
+
+def write_weights(
+    file: str | os.PathLike[str],
+    controller: str,
+    weights: Mapping[str, float],
+    record: Mapping[str, Any],
+) -> None:
+    """Write a weights file, whole or not at all.
+
+    Args:
+        file: Where to.
+        controller: Name of the controller.
+        weights: Value of each weight; written so that reading gives the same floats.
+        record: Where they come from: strings, numbers and lists of them.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    lines = [f"controller = {json.dumps(controller)}", "", "[weights]"]
+    lines += [f"{name} = {float(value)!r}" for name, value in weights.items()]
+    lines += ["", "[record]"]
+    # JSON's strings, numbers and lists are TOML's as well
+    lines += [f"{name} = {json.dumps(value)}" for name, value in record.items()]
+    path = Path(file)
+    part = path.with_name(path.name + ".part")
+    try:
+        part.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        part.replace(path)
+    except OSError as error:
+        why = error.strerror or str(error)
+        raise OutputError(f"Cannot write {os.fspath(file)!r}: {why}.") from error
+
+
+def apply(weights: WeightsT, changes: Mapping[str, float], source: str = "weights") -> WeightsT:
+    """A controller's weights with some replaced.
+
+    Args:
+        weights: A dataclass of weights.
+        changes: New values by name.
+        source: Where they come from, for messages.
+
+    Raises:
+        OptionError: There is no such weight, or its value means nothing.
+    """
+    names = [field.name for field in fields(weights)]  # type: ignore[arg-type]
+    for name in changes:
+        if name not in names:
+            raise OptionError(f"{source}: weight", name, f"one of {', '.join(names)}")
+    return replace(weights, **changes)  # type: ignore[type-var]
+
+
+def shipped_file(controller: str) -> Path:
+    """Where the package keeps a controller's tuned weights."""
+    return Path(str(resources.files("lpvmpc.control") / "weights" / f"{controller}.toml"))
+
+
+def shipped(controller: str, by_hand: WeightsT) -> WeightsT:
+    """The weights a controller drives with where none are given.
+
+    Args:
+        controller: Name of the controller.
+        by_hand: Its weights as set by hand, for those that the package's file does not name.
+
+    Raises:
+        DataError: The package's file is damaged.
+    """
+    return apply(by_hand, _shipped(controller), f"{controller}.toml")
+
+
+@cache
+def _shipped(controller: str) -> dict[str, float]:
+    file = shipped_file(controller)
+    return read_weights(file, controller) if file.exists() else {}
+
+
+def chosen(
+    controller: str, weights: WeightsT | Mapping[str, float] | None, by_hand: WeightsT
+) -> WeightsT:
+    """The weights meant by a maker's argument: a dataclass, names with numbers, or None.
+
+    Names with numbers change the weights set by hand: a file gives the same car on every version.
+    """
+    if weights is None:
+        return shipped(controller, by_hand)
+    if isinstance(weights, Mapping):
+        return apply(by_hand, weights)
+    return weights
+
+
+def as_dict(weights: Any) -> dict[str, float]:
+    """Weights as a plain dictionary."""
+    return {name: float(value) for name, value in asdict(weights).items()}

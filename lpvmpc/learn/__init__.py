@@ -1,0 +1,1 @@
+"""The cornering-stiffness data, and the networks that are trained on them."""

@@ -1,0 +1,455 @@
+"""Training of the two networks with torch: many splits and seeds side by side.
+
+Runs of one manoeuvre are time series: neighbouring samples are almost equal, and a random split
+leaks. So one network is trained with whole runs held out (this one is kept), one with each kind of
+manoeuvre held out, and one with the random split, for each seed. They share every step as one batch
+of matrices, since such small networks cost overhead, not arithmetic.
+
+What is random depends on (seed, split, epoch) alone, and the optimiser is plain arrays: training
+that was interrupted continues to the same bytes.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from lpvmpc.car.params import VehicleParams
+from lpvmpc.control.stiffness import network
+from lpvmpc.control.stiffness.network import N_EVEN, SECANT_INPUTS, SECANT_SIZES
+from lpvmpc.errors import DataError, LPVMPCError, OptionError
+from lpvmpc.kit import safetensors
+from lpvmpc.learn.dataset import Dataset, samples_of
+from lpvmpc.units import Array
+
+HELD_OUT = 0.25
+"""Share of the runs, or of the samples in the random split, that is held out."""
+BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8
+"""Constants of Adam."""
+
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Preset:
+    """How a network is trained."""
+
+    kind: str
+    """`network` or `network-secant`."""
+    epochs: int
+    """Passes through the training data."""
+    batch: int
+    """Samples per step."""
+    rate: float
+    """Learning rate; its peak where it rises and falls."""
+    cycle: bool
+    """Whether the rate rises over the first tenth and falls to zero, as half cosines."""
+    units: int = 8
+    """Hidden units per axle of `network`."""
+    slope_weight: float = 0.1
+    """Weight of the error of the local slope beside that of the force, for `network`."""
+
+
+PRESETS = {
+    "default": Preset(kind="network", epochs=300, batch=256, rate=1e-2, cycle=True),
+    "paper": Preset(kind="network-secant", epochs=2500, batch=64, rate=5e-4, cycle=False),
+}
+"""Ours, and the paper's: 5-16-28-16-9-2 sigmoid, linear output, Adam."""
+
+
+# Splits ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Split:
+    """Which samples train, and which test."""
+
+    name: str
+    """`runs`, `random`, or `without KIND`."""
+    train: Mask
+    """Training samples, shape (n,); the others test."""
+
+
+def splits(data: Dataset, seed: int) -> list[Split]:
+    """Runs held out (of every kind a quarter, at least one), random, and each kind held out.
+
+    Raises:
+        DataError: A kind has a single run, or there is a single kind.
+    """
+    rng = np.random.default_rng([seed, 1])
+    run, kind = data["run"], data["manoeuvre"]
+    held: list[int] = []
+    for name in data.kinds:
+        runs = np.unique(run[kind == name])
+        if len(runs) < 2:
+            raise DataError(
+                f"The data have {len(runs)} run of the kind {name}, but at least 2 are needed to "
+                "hold runs out; collect more samples."
+            )
+        count = max(1, round(HELD_OUT * len(runs)))
+        held.extend(rng.permutation(runs)[:count])
+    if len(data.kinds) < 2:
+        raise DataError(
+            f"The data have one kind of manoeuvre only, {data.kinds[0]}, but at least 2 are "
+            "needed to hold one out."
+        )
+    found = [Split("runs", ~np.isin(run, held))]
+    found.append(Split("random", rng.random(len(data)) >= HELD_OUT))
+    found += [Split(f"without {name}", kind != name) for name in data.kinds]
+    return found
+
+
+# Networks ----------------------------------------------------------------------------------------
+
+
+class Family(Protocol):
+    """M networks of one kind, whose parameters are the rows of one tensor."""
+
+    size: int
+    """Number of parameters of one network."""
+
+    def start(self, rng: np.random.Generator) -> Array:
+        """Random parameters of one network, shape (size,)."""
+
+    def loss(self, parameters: Tensor, samples: Tensor) -> Tensor:
+        """Mean loss of each network on its samples: (M, size), (M, batch) -> (M,)."""
+
+    def weights(self, i: int, parameters: Array) -> dict[str, npt.NDArray[Any]]:
+        """Arrays of network i for a weights file."""
+
+
+def _scaling(values: Array, masks: list[Mask]) -> tuple[Array, Array]:
+    """Mean and standard deviation over each mask, shape (M, ...) each."""
+    mean = np.array([values[m].mean(axis=0) for m in masks])
+    std = np.array([values[m].std(axis=0) for m in masks])
+    return mean, np.maximum(std, 1e-9)
+
+
+def _tensor(values: npt.ArrayLike) -> Tensor:
+    return torch.tensor(np.asarray(values), dtype=torch.float32)
+
+
+class SecantFamily:
+    """The paper's networks: standardised inputs to standardised secant stiffness."""
+
+    def __init__(self, data: Dataset, masks: list[Mask]):
+        x = np.column_stack([data[name] for name in SECANT_INPUTS])
+        y = np.column_stack([data["Cf_Nprad"], data["Cr_Nprad"]])
+        self.x_mean, self.x_std = _scaling(x, masks)
+        self.y_mean, self.y_std = _scaling(y, masks)
+        self.range = [(x[m].min(axis=0), x[m].max(axis=0)) for m in masks]
+        self._x, self._y = _tensor(x), _tensor(y)
+        self._scale = [_tensor(a)[:, None] for a in (self.x_mean, self.x_std)]
+        self._target = [_tensor(a)[:, None] for a in (self.y_mean, self.y_std)]
+        self._shapes = list(zip(SECANT_SIZES[:-1], SECANT_SIZES[1:], strict=True))
+        self.size = sum(n * m + m for n, m in self._shapes)
+
+    def start(self, rng: np.random.Generator) -> Array:
+        """Glorot uniform weights and zero biases, as Keras does."""
+        parts = []
+        for n, m in self._shapes:
+            limit = math.sqrt(6.0 / (n + m))
+            parts += [rng.uniform(-limit, limit, n * m), np.zeros(m)]
+        return np.concatenate(parts)
+
+    def _layers(self, p: Any) -> list[tuple[Any, Any]]:
+        """Weights (..., n, m) and biases (..., 1, m) of each layer."""
+        layers, at = [], 0
+        for n, m in self._shapes:
+            W, b = p[..., at : at + n * m], p[..., at + n * m : at + n * m + m]
+            layers.append((W.reshape(*W.shape[:-1], n, m), b.reshape(*b.shape[:-1], 1, m)))
+            at += n * m + m
+        return layers
+
+    def loss(self, parameters: Tensor, samples: Tensor) -> Tensor:
+        """Mean square error of the standardised stiffness."""
+        h = (self._x[samples] - self._scale[0]) / self._scale[1]
+        layers = self._layers(parameters)
+        for i, (W, b) in enumerate(layers):
+            h = torch.baddbmm(b, h, W)
+            if i < len(layers) - 1:
+                h = torch.sigmoid(h)
+        y = (self._y[samples] - self._target[0]) / self._target[1]
+        return (h - y).square().mean(dim=(1, 2))
+
+    def weights(self, i: int, parameters: Array) -> dict[str, npt.NDArray[Any]]:
+        """See `Family`."""
+        arrays = {}
+        for k, (W, b) in enumerate(self._layers(parameters)):
+            arrays[f"W{k}"], arrays[f"b{k}"] = np.ascontiguousarray(W.T), b[0]
+        arrays["x_low"], arrays["x_high"] = self.range[i]
+        for name in ("x_mean", "x_std", "y_mean", "y_std"):
+            arrays[name] = getattr(self, name)[i]
+        return {name: np.asarray(a, np.float32) for name, a in arrays.items()}
+
+
+class ForceFamily:
+    """Our networks: dimensionless force and slope of both axles; see network.py."""
+
+    def __init__(self, data: Dataset, masks: list[Mask], car: VehicleParams, preset: Preset):
+        n = len(data)
+        args = samples_of(data, car)
+        s, D, z = np.empty((n, 2)), np.empty((n, 2)), np.empty((n, 2, N_EVEN))
+        for k in range(n):
+            for i in range(2):
+                s[k, i], D[k, i] = network.features(
+                    args["alpha"][k, i], args["Fx"][k, i], args["ax"][k], args["roll"][k],
+                    args["friction"][k], args["norms"][k, i], z[k, i],
+                )  # fmt: skip
+        y = np.column_stack([data["Fyf_N"], data["Fyr_N"]]) / D
+        slope = np.column_stack([data["slope_f_Nprad"], data["slope_r_Nprad"]])
+        slope /= args["norms"][:, :, network.C0]
+        self.mean, self.std = _scaling(z, masks)
+        self.low = [z[m].min(axis=0) for m in masks]
+        for low in self.low:  # of squares, whose roots the data have on both sides of zero
+            low[:, :2] = 0.0
+        self.high = [z[m].max(axis=0) for m in masks]
+        self.slip_max = [np.abs(s[m]).max(axis=0) for m in masks]
+        self._s, self._z, self._y, self._slope = map(_tensor, (s, z, y, slope))
+        self._scale = [_tensor(a)[:, None] for a in (self.mean, self.std)]
+        self.units, self.slope_weight = preset.units, preset.slope_weight
+        self.size = 2 * self.units * (3 + N_EVEN)
+
+    def start(self, rng: np.random.Generator) -> Array:
+        """Parameters u, b, w and V of both axles, normally distributed."""
+        n = 2 * self.units
+        parts = [(n, 1.0), (n, 0.5), (n, 0.3), (n * N_EVEN, 0.3)]
+        return np.concatenate([scale * rng.standard_normal(count) for count, scale in parts])
+
+    def _parts(self, p: Any) -> tuple[Any, Any, Any, Any]:
+        """u, b, w of shape (..., 2, units) and V of shape (..., 2, units, N_EVEN)."""
+        n, lead = 2 * self.units, p.shape[:-1]
+        u, b, w = (p[..., i * n : (i + 1) * n].reshape(*lead, 2, self.units) for i in range(3))
+        return u, b, w, p[..., 3 * n :].reshape(*lead, 2, self.units, N_EVEN)
+
+    def loss(self, parameters: Tensor, samples: Tensor) -> Tensor:
+        """Squared errors of the force, weighted like its secant, and of the slope."""
+        u, b, w, V = (part.unsqueeze(1) for part in self._parts(parameters))  # (M, 1, 2, units)
+        s = self._s[samples]  # (M, batch, 2)
+        z = (self._z[samples] - self._scale[0]) / self._scale[1]
+        e = b + (V * z.unsqueeze(3)).sum(-1)
+        q = u * s.unsqueeze(3)
+        plus, minus = torch.tanh(e + q), torch.tanh(e - q)
+        y = 0.5 * (w * (plus - minus)).sum(-1)
+        slope = 0.5 * (w * u * (2.0 - plus * plus - minus * minus)).sum(-1)
+        # an error of the force counts like one of the stiffness, but for the smallest slips
+        error = (y - self._y[samples]).square() / (s * s + 0.1)
+        error = error + self.slope_weight * (slope - self._slope[samples]).square()
+        return error.mean(dim=(1, 2))
+
+    def weights(self, i: int, parameters: Array) -> dict[str, npt.NDArray[Any]]:
+        """See `Family`; the standardisation goes into V and b."""
+        u, b, w, V = self._parts(parameters)
+        V = V / self.std[i][:, None]
+        b = b - (V * self.mean[i][:, None]).sum(axis=-1)
+        arrays = {"u": u, "b": b, "w": w, "V": V, "slip_max": self.slip_max[i]}
+        arrays |= {"z_low": self.low[i], "z_high": self.high[i]}
+        return {name: np.asarray(a, np.float64) for name, a in arrays.items()}
+
+
+# Training ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Trained:
+    """What training gives."""
+
+    names: list[tuple[int, Split]]
+    """Seed and split of each network; the first is the one to keep."""
+    weights: list[network.Weights]
+    """Each network, without metadata."""
+    curve: Array
+    """Epoch, loss on training and on held-out samples of the first network, shape (k, 3)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """What to train."""
+
+    preset: Preset
+    """How."""
+    seeds: tuple[int, ...] = (0,)
+    """Seeds; the first one's network is kept."""
+    only: tuple[str, ...] = ()
+    """Names of the splits (default: all)."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be trained."""
+        if not 1 <= self.preset.epochs <= 1_000_000:
+            raise OptionError("epochs", self.preset.epochs, "a whole number from 1 to 1000000")
+        if not self.seeds or any(not 0 <= seed < 2**63 for seed in self.seeds):
+            raise OptionError("seeds", self.seeds, "whole numbers from 0")
+
+
+def preset(name: str, epochs: int | None = None) -> Preset:
+    """A preset by name, perhaps with another number of epochs."""
+    found = PRESETS[name]
+    return found if epochs is None else replace(found, epochs=epochs)
+
+
+def train(
+    data: Dataset,
+    job: Job,
+    car: VehicleParams,
+    *,
+    checkpoint: Path | None = None,
+    resume: bool = False,
+    progress: Callable[[int, float], None] | None = None,
+) -> Trained:
+    """Train one network per seed and split.
+
+    Args:
+        data: Stiffness data.
+        job: What to train.
+        car: The car that the data are of.
+        checkpoint: File for the state of training, written now and then and after an interrupt.
+        resume: Go on from that file, where there is one.
+        progress: Called after each epoch with its number and the first network's loss.
+
+    Raises:
+        DataError: Too few runs to split, or a checkpoint of another training.
+        LPVMPCError: The loss is not finite any more.
+    """
+    torch.set_num_threads(1)  # such small matrices gain nothing from more
+    how = job.preset
+    names = [(s, split) for s in job.seeds for split in splits(data, s)]
+    names = [(s, split) for s, split in names if not job.only or split.name in job.only]
+    masks = [split.train for _, split in names]
+    family: Family = (
+        SecantFamily(data, masks)
+        if how.kind == "network-secant"
+        else ForceFamily(data, masks, car, how)
+    )
+    steps = max(min(int(mask.sum()) for mask in masks) // how.batch, 1)
+    batch = min(how.batch, min(int(mask.sum()) for mask in masks))
+    start = [family.start(np.random.default_rng([s, 2])) for s, _ in names]
+    state = _State(_tensor(np.array(start)))
+    facts = _facts(data, job, [f"{s} {split.name}" for s, split in names])
+    if resume and checkpoint is not None and checkpoint.is_file():
+        state.read(checkpoint, facts)
+    held_out = torch.tensor(np.flatnonzero(~masks[0]))[None]
+    while state.epoch < how.epochs:
+        drawn = [_draw(s, i, state.epoch, masks[i], steps, batch)
+                 for i, (s, _) in enumerate(names)]  # fmt: skip
+        order = torch.tensor(np.stack(drawn, axis=1))  # (steps, M, batch)
+        losses = []
+        for k in range(steps):
+            position = (state.epoch * steps + k + 1) / (how.epochs * steps)
+            rate = how.rate * (_cycle(position) if how.cycle else 1.0)
+            losses.append(state.step(family, order[k], rate))
+        mean = torch.stack(losses).mean(dim=0)
+        if not torch.isfinite(mean).all():
+            raise LPVMPCError(f"Training diverged in epoch {state.epoch}: the loss is NaN.")
+        state.epoch += 1
+        if state.epoch % max(how.epochs // 200, 1) == 0 or state.epoch == how.epochs:
+            with torch.no_grad():
+                test = (
+                    family.loss(state.parameters[:1], held_out)
+                    if len(names) == 1
+                    else (_first_only(family, state.parameters, held_out))
+                )
+            state.curve.append((state.epoch, float(mean[0]), float(test[0])))
+        if checkpoint is not None and state.epoch % max(how.epochs // 50, 1) == 0:
+            state.write(checkpoint, facts)
+        if progress is not None:
+            progress(state.epoch, float(mean[0]))
+    found = state.parameters.detach().numpy().astype(np.float64)
+    weights = [network.Weights(how.kind, family.weights(i, row), {}) for i, row in enumerate(found)]
+    return Trained(names, weights, np.array(state.curve))
+
+
+def _first_only(family: Family, parameters: Tensor, samples: Tensor) -> Tensor:
+    """Loss of the first network; the others get the same samples, which costs little."""
+    some = samples[:, :: max(samples.shape[1] // 512, 1)]
+    return family.loss(parameters, some.expand(len(parameters), -1))
+
+
+def _draw(seed: int, i: int, epoch: int, mask: Mask, steps: int, batch: int) -> npt.NDArray[Any]:
+    """Mini-batches of one epoch, shape (steps, batch)."""
+    order = np.random.default_rng([seed, 3, i, epoch]).permutation(np.flatnonzero(mask))
+    return order[: steps * batch].reshape(steps, batch)
+
+
+def _cycle(position: float) -> float:
+    """Learning rate over training, from 0 up to 1 at a tenth and down to 0, in half cosines."""
+    if position < 0.1:
+        return 0.5 - 0.48 * math.cos(math.pi * position / 0.1)
+    return 0.5 + 0.5 * math.cos(math.pi * (position - 0.1) / 0.9) + 1e-4
+
+
+def _facts(data: Dataset, job: Job, names: list[str]) -> dict[str, str]:
+    """What a checkpoint must agree with."""
+    return {
+        "data_sha256": data.sha256,
+        "preset": repr(job.preset),
+        "networks": json.dumps(names),
+    }
+
+
+class _State:
+    """Parameters and Adam's moments, all of shape (M, size)."""
+
+    def __init__(self, parameters: Tensor):
+        self.parameters = parameters.requires_grad_()
+        self.first, self.second = torch.zeros_like(parameters), torch.zeros_like(parameters)
+        self.epoch, self.steps = 0, 0
+        self.curve: list[tuple[float, float, float]] = []
+
+    def step(self, family: Family, samples: Tensor, rate: float) -> Tensor:
+        """One step of Adam; returns the losses before it, shape (M,)."""
+        losses = family.loss(self.parameters, samples)
+        (gradient,) = torch.autograd.grad(losses.sum(), self.parameters)
+        self.steps += 1
+        with torch.no_grad():
+            self.first.lerp_(gradient, 1.0 - BETA1)
+            self.second.lerp_(gradient * gradient, 1.0 - BETA2)
+            size = rate / (1.0 - BETA1**self.steps)
+            scale = math.sqrt(1.0 - BETA2**self.steps)
+            self.parameters -= size * self.first / (self.second.sqrt() / scale + EPSILON)
+        return losses.detach()
+
+    def write(self, file: Path, facts: dict[str, str]) -> None:
+        """Save everything that decides how training goes on."""
+        arrays = {
+            "parameters": self.parameters.detach().numpy(),
+            "first": self.first.numpy(),
+            "second": self.second.numpy(),
+            "curve": np.array(self.curve, dtype=np.float64).reshape(-1, 3),
+            "progress": np.array([self.epoch, self.steps], dtype=np.int64),
+        }
+        safetensors.write(file, arrays, facts)
+
+    def read(self, file: Path, facts: dict[str, str]) -> None:
+        """Go on from a saved state.
+
+        Raises:
+            DataError: It is damaged, or belongs to another training.
+        """
+        arrays, left = safetensors.read(file)
+        for key, value in facts.items():
+            if left.get(key) != value:
+                raise DataError(
+                    f"The unfinished training in {os.fspath(file)!r} has another {key}; give the "
+                    "same options and data, or start without --resume."
+                )
+        try:
+            for name in ("parameters", "first", "second"):
+                mine = getattr(self, name)
+                if arrays[name].shape != tuple(mine.shape):
+                    raise KeyError(name)
+                with torch.no_grad():
+                    mine.copy_(torch.from_numpy(arrays[name]))
+            self.epoch, self.steps = (int(value) for value in arrays["progress"])
+            self.curve = [tuple(row) for row in arrays["curve"]]
+        except (KeyError, ValueError) as error:
+            raise DataError(f"The checkpoint {os.fspath(file)!r} is damaged.") from error

@@ -1,0 +1,1 @@
+"""Videos: the scene, the head-up display, the encoder."""

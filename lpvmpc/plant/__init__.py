@@ -1,0 +1,1 @@
+"""The MuJoCo car with its tire law inside the physics step."""

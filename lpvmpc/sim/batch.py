@@ -1,0 +1,401 @@
+"""Many closed loops at once, each described by names and numbers alone.
+
+A `Run` says what is driven; `drive_all` drives many of them in one process, in several, or on a Ray
+cluster, and keeps what each of them gave under the hash of everything it depends on. So the numbers
+are the same whatever the number of processes, and what was interrupted goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import json
+import os
+import signal
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, fields, replace
+from functools import cache, lru_cache
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from lpvmpc.errors import LPVMPCError, OptionError, described
+from lpvmpc.kit.provenance import versions
+from lpvmpc.plant.mjcf import model_path
+from lpvmpc.road.scenario import RoadFriction, Scenario
+from lpvmpc.sim.log import write_json
+from lpvmpc.sim.loop import simulate
+from lpvmpc.sim.metrics import KEYS, metrics
+from lpvmpc.sim.names import load_controller, load_scenario
+
+if TYPE_CHECKING:
+    from lpvmpc.plant.plant import Plant
+    from lpvmpc.sim.log import Log
+
+BACKENDS = ("local", "ray")
+"""Where runs can be driven: processes of this machine, or a Ray cluster."""
+
+FOUNDATION = (
+    "units.py", "errors.py", "interface.py", "car/**/*", "plant/**/*", "road/**/*", "control/**/*",
+    "sim/**/*",
+)  # fmt: skip
+"""What a closed loop stands on, by the import contract: a change there makes kept results void."""
+DIED = (
+    "A worker process died (killed, or out of memory?); what was finished is kept, and fewer jobs "
+    "need less memory."
+)
+T = TypeVar("T")
+R = TypeVar("R")
+Progress = Callable[[int, int], None]
+"""Called with the number of runs that are done and of all."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """One closed loop. Everything is a plain name or number, so that it can be sent and hashed."""
+
+    label: str = ""
+    """What to call it; no part of its key."""
+    scenario: str = "paper"
+    """Name of a scenario, or a CSV file."""
+    scenario_options: Mapping[str, Any] = field(default_factory=dict)
+    """Options of `load_scenario`."""
+    controller: str = "lpv-mpc"
+    """Name of a controller, or module:Class."""
+    controller_options: Mapping[str, Any] = field(default_factory=dict)
+    """Options of `load_controller`; `weights` and `formulation` as dictionaries."""
+    road: float | tuple[tuple[float, float], ...] = 1.0
+    """Friction that nobody announces, times what the scenario says: a factor, or pairs of arc
+    length [m] and factor, linear between."""
+    delay: int = 0
+    """Periods after which a command reaches the car; what the controller is told of it is among
+    its options."""
+    seed: int = 0
+    """Seed of the generator given to the controller."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be hashed, and roads that cannot be."""
+        try:
+            json.dumps([dict(self.scenario_options), dict(self.controller_options)],
+                       allow_nan=False)  # fmt: skip
+        except (TypeError, ValueError) as error:
+            raise OptionError("options of a run", str(error), "plain names and numbers") from None
+        values = [value for _, value in self.road] if isinstance(self.road, tuple) else [self.road]
+        if not values or not all(0.05 <= value <= 4.0 for value in values):
+            raise OptionError("road of a run", self.road, "friction factors from 0.05 to 4")
+
+    def __hash__(self) -> int:
+        return hash(self._text())
+
+    def _text(self) -> str:
+        """Everything but the label, in one canonical line."""
+        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "label"}
+        values = {k: dict(v) if isinstance(v, Mapping) else v for k, v in values.items()}
+        return json.dumps(values, sort_keys=True)
+
+    def key(self) -> str:
+        """Hash of the run and of all it depends on: sources, weights, model, versions, own files.
+
+        Two runs of one key have the same trace; only their times differ.
+        """
+        digest = hashlib.sha256(self._text().encode())
+        digest.update(foundation().encode())
+        for file in self._own_files():
+            digest.update(file.read_bytes())
+        return digest.hexdigest()[:32]
+
+    def _own_files(self) -> Iterator[Path]:
+        """A user's track, network and module of a controller, where they are found."""
+        track = Path(self.scenario)
+        if self.scenario.lower().endswith(".csv") and track.is_file():
+            yield track
+        trained = Path(self.controller_options.get("stiffness_file", ""))
+        if trained.is_file():
+            yield trained
+        if ":" in self.controller:
+            name = self.controller.partition(":")[0]
+            here = Path(name.replace(".", "/") + ".py")  # as load_controller does
+            if here.is_file():
+                yield here
+                return
+            try:
+                found = importlib.util.find_spec(name)
+            except (ImportError, ValueError):
+                found = None
+            if found is not None and found.has_location and found.origin is not None:
+                yield Path(found.origin)
+
+
+@cache
+def foundation() -> str:
+    """Hash of what every run stands on: sources, weights, data, the model's XML, versions."""
+    digest = hashlib.sha256(json.dumps(versions(), sort_keys=True).encode())
+    package = Path(str(resources.files("lpvmpc")))
+    files = [f for name in FOUNDATION for f in package.glob(name) if f.is_file()]
+    assert len(files) > 40, "what a closed loop depends on has moved"
+    files += model_path("vehicle.xml").parent.glob("*.xml")
+    for file in sorted(files):
+        if "__pycache__" not in file.parts:
+            digest.update(file.name.encode() + b"\0" + file.read_bytes() + b"\0")
+    return digest.hexdigest()
+
+
+def drive(run: Run) -> Log:
+    """Drive one run in this process.
+
+    Raises:
+        LPVMPCError: Something in the run does not exist or is out of its domain, or its controller
+            failed.
+    """
+    controller = load_controller(run.controller, **run.controller_options)
+    return simulate(
+        _plant(),
+        controller,
+        scenario_of(run),
+        seed=run.seed,
+        delay=run.delay,
+        name=run.controller,
+        options={"road": run.road},
+    )
+
+
+def scenario_of(run: Run) -> Scenario:
+    """What a run drives, its unannounced friction included."""
+    track = Path(run.scenario)
+    written = track.stat().st_mtime_ns if run.scenario.endswith(".csv") and track.exists() else 0
+    options = json.dumps(dict(run.scenario_options), sort_keys=True)
+    scenario = _scenario(run.scenario, options, written)
+    if run.road == 1.0:
+        return scenario
+    announced = 1.0 if scenario.friction is None else scenario.friction(0.0)
+    pairs = run.road if isinstance(run.road, tuple) else ((0.0, run.road),)
+    road = RoadFriction(
+        scale=announced, knots=tuple(s for s, _ in pairs), values=tuple(value for _, value in pairs)
+    )
+    return replace(scenario, friction=road)
+
+
+@lru_cache(maxsize=16)  # planning a speed takes as long as driving a tenth of the road
+def _scenario(name: str, options: str, written: int) -> Scenario:
+    """A scenario; `written` is the time of the track file, which may be edited meanwhile."""
+    return load_scenario(name, **json.loads(options))
+
+
+@cache
+def _plant() -> Plant:
+    """The car of this process; `simulate` resets it."""
+    from lpvmpc.plant.plant import Plant
+
+    return Plant()
+
+
+def charged(run: Run, reason: str) -> dict[str, Any]:
+    """The result of a run that has none: not completed, for this reason."""
+    stiffness = run.controller_options.get("stiffness")
+    known = {"scenario": run.scenario, "controller": run.controller, "stiffness": stiffness}
+    return {**dict.fromkeys(KEYS), **known, "seed": run.seed, "completed": False, "reason": reason}
+
+
+def drive_all(
+    runs: Sequence[Run],
+    *,
+    jobs: int = 1,
+    backend: str = "local",
+    address: str | None = None,
+    cache: str | os.PathLike[str] | None = None,
+    progress: Progress | None = None,
+) -> list[dict[str, Any]]:
+    """Drive many runs; each gives its `metrics`, whatever happens to the others.
+
+    A run that raises counts as not completed, with the error as its reason; it is driven again
+    when asked for again. Ctrl-C ends the batch at once, and what has ended until then is kept.
+
+    Args:
+        runs: What to drive.
+        jobs: Number of processes; with 1, all happens in this one (unless on Ray).
+        backend: One of `BACKENDS`.
+        address: Address of the Ray cluster (default: Ray decides, and starts one here).
+        cache: Folder of results kept by key, read and written; None keeps nothing.
+        progress: Called at the start and after each run.
+
+    Returns:
+        Results in the order of the runs.
+
+    Raises:
+        OptionError: A number of jobs below 1, an unknown backend, an address without Ray.
+        LPVMPCError: Ray is not installed or not reachable, or a worker process died.
+        OutputError: The folder cannot be written.
+        KeyboardInterrupt: Ctrl-C.
+    """
+    _check_workers(jobs, backend, address)
+    keys = [run.key() for run in runs]
+    kept = None if cache is None else Path(cache)
+    found: dict[str, dict[str, Any]] = {}
+    if kept is not None:
+        found = {k: value for k in keys if (value := read_result(kept, k)) is not None}
+    done = sum(key in found for key in keys)
+    if progress is not None:
+        progress(done, len(runs))
+    missing = {key: run for key, run in zip(keys, runs, strict=True) if key not in found}
+    if missing:
+        alone = backend == "local" and jobs == 1
+        outcomes = _here(missing) if alone else _elsewhere(missing, jobs, backend, address)
+        for key, result, failed in outcomes:
+            found[key] = result
+            if kept is not None and not failed:
+                write_json(kept / f"{key}.json", result)
+            done += keys.count(key)
+            if progress is not None:
+                progress(done, len(runs))
+    return [found[key] for key in keys]
+
+
+@contextmanager
+def workers(
+    jobs: int = 1, backend: str = "local", address: str | None = None
+) -> Iterator[Callable[[Callable[[T], R], Iterable[T]], list[R]]]:
+    """A `map` that calls a function on many things at once and gives the answers in their order.
+
+    The workers live as long as the context, so that what they have compiled and planned is kept
+    from one call to the next.
+
+    Args:
+        jobs: Number of processes; with 1, all happens in this one (unless on Ray).
+        backend: One of `BACKENDS`.
+        address: Address of the Ray cluster.
+
+    Raises:
+        OptionError: As `drive_all`.
+        LPVMPCError: Ray is not installed or not reachable, or a worker process died.
+    """
+    from joblib import Parallel, delayed
+    from joblib.externals.loky.process_executor import BrokenProcessPool
+
+    _check_workers(jobs, backend, address)
+    if backend == "local" and jobs == 1:
+        yield lambda function, things: [function(thing) for thing in things]
+        return
+    with _backend(jobs, backend, address), Parallel(batch_size=1, pre_dispatch="all") as parallel:
+        try:
+            yield lambda function, things: parallel(
+                delayed(_undisturbed)(function, thing) for thing in things
+            )
+        except BrokenProcessPool as error:
+            raise LPVMPCError(DIED) from error
+
+
+def _undisturbed(function: Callable[..., R], *arguments: Any) -> R:
+    """Call a function in a worker, which the parent alone tells when to stop."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    return function(*arguments)
+
+
+def _check_workers(jobs: int, backend: str, address: str | None) -> None:
+    if isinstance(jobs, bool) or not isinstance(jobs, int) or jobs < 1:
+        raise OptionError("jobs", jobs, "a whole number from 1")
+    if backend not in BACKENDS:
+        raise OptionError("backend", backend, " or ".join(BACKENDS))
+    if address is not None and backend != "ray":
+        raise OptionError("address", address, "left out unless the backend is 'ray'")
+
+
+def read_result(cache: Path, key: str) -> dict[str, Any] | None:
+    """A result that was kept; None where it is absent or damaged, and so has to be driven."""
+    try:
+        value = json.loads((cache / f"{key}.json").read_text())
+    except (OSError, ValueError):
+        return None
+    return value if isinstance(value, dict) and set(value) == set(KEYS) else None
+
+
+# Where they are driven ----------------------------------------------------------------------------
+
+Outcome = tuple[str, dict[str, Any], bool]
+"""Key, result, and whether the run raised."""
+
+
+def _outcome(key: str, run: Run) -> Outcome:
+    """Drive a run and measure it; an error becomes its result.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C, which `simulate` turns into an unfinished Log.
+    """
+    try:
+        log = drive(run)
+    except LPVMPCError as error:
+        return key, charged(run, " ".join(str(error).split())), True
+    except Exception as error:  # one broken run must not take the others' results away
+        return key, charged(run, described(error)), True
+    if log.meta["reason"] == "interrupted":
+        raise KeyboardInterrupt
+    return key, metrics(log), False
+
+
+def _here(runs: Mapping[str, Run]) -> Iterator[Outcome]:
+    """One after the other in this process."""
+    for key, run in runs.items():
+        yield _outcome(key, run)
+
+
+def _elsewhere(
+    runs: Mapping[str, Run], jobs: int, backend: str, address: str | None
+) -> Iterator[Outcome]:
+    """In worker processes; yields each outcome as it comes."""
+    from joblib import Parallel, delayed
+    from joblib.externals.loky.process_executor import BrokenProcessPool
+
+    calls = [delayed(_undisturbed)(_outcome, key, run) for key, run in runs.items()]
+    with _backend(jobs, backend, address):
+        if backend == "ray":  # cannot give results one by one: some runs at a time, then
+            with Parallel(batch_size=1) as parallel:
+                for i in range(0, len(calls), 4 * jobs):
+                    yield from parallel(calls[i : i + 4 * jobs])
+            return
+        # one run per message: it takes seconds, and is to be kept as soon as it has ended
+        outcomes = Parallel(return_as="generator_unordered", batch_size=1)(calls)
+        try:
+            yield from outcomes
+        except BrokenProcessPool as error:
+            raise LPVMPCError(DIED) from error
+        finally:
+            outcomes.close()  # after Ctrl-C it also ends what the workers are doing
+
+
+@contextmanager
+def _backend(jobs: int, backend: str, address: str | None) -> Iterator[None]:
+    """Make joblib use processes of this machine, each with one thread, or a Ray cluster."""
+    from joblib import parallel_config
+
+    if backend == "ray":
+        with _ray(address), parallel_config("ray", n_jobs=jobs):
+            yield
+    else:
+        with parallel_config("loky", n_jobs=jobs, inner_max_num_threads=1):
+            yield
+
+
+@contextmanager
+def _ray(address: str | None) -> Iterator[None]:
+    """Ray started or reached, and known to joblib."""
+    try:
+        import ray
+        from ray.util.joblib import register_ray
+    except ImportError:
+        raise LPVMPCError(
+            "The backend 'ray' needs the package ray; install it with: pip install "
+            "'lpvmpc[cluster]'."
+        ) from None
+    register_ray()
+    ours = not ray.is_initialized()
+    if ours:
+        try:
+            ray.init(address=address, log_to_driver=False, include_dashboard=False)
+        except Exception as error:  # Ray raises plain Exceptions too
+            where = "cannot be started" if address is None else f"at {address!r} cannot be reached"
+            raise LPVMPCError(f"Ray {where}: {described(error)}.") from error
+    try:
+        yield
+    finally:
+        if ours:
+            ray.shutdown()

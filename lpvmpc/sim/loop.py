@@ -1,0 +1,275 @@
+"""The closed loop: plant, controller and scenario, one control period after the other.
+
+At every control instant the true state of the car is projected on the path and previewed, the
+controller commands, and all of it is recorded; then the plant moves on by one period under the wind
+and the friction of the place where it is. The controller is told neither.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import asdict, is_dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lpvmpc.errors import LPVMPCError, OptionError
+from lpvmpc.interface import Command, Controller, State
+from lpvmpc.kit.provenance import model_sha256, versions
+from lpvmpc.plant.plant import DRIVE, STEER, Plant
+from lpvmpc.sim.guard import TimeLimit, checked_command
+from lpvmpc.sim.log import FALLBACKS, Log, Recorder
+
+if TYPE_CHECKING:
+    from lpvmpc.interface import Preview
+    from lpvmpc.road.scenario import Scenario
+
+EY_LOST = 5.0
+"""A car further than this from the path has lost it [m]."""
+EPSI_LOST = math.pi / 2.0
+"""A car turned further than this from the path has lost it [rad]."""
+STUCK_SPEED = 0.5
+"""A car slower than this, against a faster reference, stands [m/s]."""
+STUCK_TIME = 3.0
+"""Time for which it must stand to count as stuck [s]."""
+TIME_FACTOR = 2.0
+"""A run of more than this many times the reference's duration is given up."""
+MAX_DELAY = 30
+"""Longest delay of the commands [control periods], one second."""
+
+Progress = Callable[[float], None]
+
+
+def simulate(
+    plant: Plant,
+    controller: Controller,
+    scenario: Scenario,
+    *,
+    seed: int = 0,
+    delay: int = 0,
+    step_timeout: float | None = None,
+    progress: Progress | None = None,
+    name: str | None = None,
+    options: dict[str, Any] | None = None,
+) -> Log:
+    """Drive a scenario from its start to its end, or until the car is lost.
+
+    The car starts trimmed on the reference: at its speed, curvature and wind, everything settled.
+    A closed track is driven for one whole lap. Ctrl-C ends the run early; the Log then holds what
+    was recorded until then, with `meta["reason"] == "interrupted"`.
+
+    Args:
+        plant: The car; reset here, its friction set from the scenario.
+        controller: Anything with `reset(rng)` and `command(state, preview)`; see `controllers`.
+        scenario: Path, speed, wind and friction.
+        seed: Seed of the generator given to the controller.
+        delay: Number of control periods after which a command reaches the car, 0 to `MAX_DELAY`;
+            until then it holds the trimmed command.
+        step_timeout: Longest wall-clock time of one call of the controller [s]; None: no limit.
+        progress: Called at every control instant with the driven fraction of the path.
+        name: Name of the controller in results (default: its attribute `name`, else its class).
+        options: Further options to record in the trace.
+
+    Returns:
+        The Log; `meta` says whether the run completed, and why not.
+
+    Raises:
+        OptionError: An option outside its domain, or a controller of another control period.
+        ControllerError: The controller raised, hung, or returned something that is no command.
+    """
+    if type(seed) is not int or seed < 0:
+        raise OptionError("seed", seed, "a whole number from 0")
+    if type(delay) is not int or not 0 <= delay <= MAX_DELAY:
+        raise OptionError("delay", delay, f"a whole number from 0 to {MAX_DELAY}")
+    if step_timeout is not None and not (math.isfinite(step_timeout) and step_timeout > 0.0):
+        raise OptionError("step_timeout", step_timeout, "a positive number of seconds")
+    Ts = plant.Ts
+    if not math.isclose(getattr(controller, "Ts", Ts), Ts, rel_tol=1e-9):
+        raise OptionError("controller Ts", getattr(controller, "Ts", None), f"the plant's, {Ts} s")
+    name = name or str(getattr(controller, "name", type(controller).__name__))
+    loop = _Loop(plant, controller, scenario, name, delay, step_timeout)
+    wall = time.perf_counter()
+    try:
+        with loop.limit.installed():
+            reason = loop.run(seed, progress)
+    except KeyboardInterrupt:
+        reason = "interrupted"
+    finally:
+        plant.friction = loop.grip
+    wall = time.perf_counter() - wall
+    meta = loop.meta(reason, wall)
+    meta.update(seed=seed, options={"delay": delay, **(options or {})})
+    weights: Any = getattr(controller, "weights", {})
+    weights = asdict(weights) if is_dataclass(weights) else dict(weights)  # type: ignore[arg-type]
+    return loop.recorder.log(meta, scenario, weights)
+
+
+class _Loop:
+    """State of one running simulation."""
+
+    def __init__(
+        self,
+        plant: Plant,
+        controller: Controller,
+        scenario: Scenario,
+        name: str,
+        delay: int,
+        step_timeout: float | None,
+    ):
+        self.plant, self.controller, self.scenario, self.name = plant, controller, scenario, name
+        self.limit = TimeLimit(step_timeout, name)
+        self.delay = delay
+        self.Np = int(getattr(controller, "Np", 10))
+        self.preview_steps = int(getattr(controller, "preview_steps", self.Np))
+        self.time_limit = TIME_FACTOR * scenario.reference_duration
+        rows = math.ceil(self.time_limit / plant.Ts) + 2
+        self.recorder = Recorder(rows, self.Np, len(plant.qpos))
+        self.grip = np.array(plant.friction)  # the plant's own, which the road's multiplies
+        self.road_friction = scenario.friction
+        self.friction = np.ones(4)  # of the road under the wheels
+        self.has_qp = False
+        self.s_end = self.duration = 0.0
+
+    def run(self, seed: int, progress: Progress | None) -> str:
+        """Drive; returns why the run ended early, "" at the end of the path."""
+        plant, scenario, controller = self.plant, self.scenario, self.controller
+        path, Ts, length = scenario.path, plant.Ts, scenario.path.length
+        state = self._start()
+        self.limit.call("reset", 0.0, controller.reset, np.random.default_rng(seed))
+        held = Command(float(plant.data.ctrl[STEER]), float(plant.data.ctrl[DRIVE]))
+        queue = deque([held] * self.delay)
+        told: tuple[Any, ...] = (controller, getattr(controller, "stiffness", None))
+        observe = next((one.observe for one in told if hasattr(one, "observe")), None)
+        s, stuck, k = 0.0, 0, 0
+        while True:
+            t, s_before = k * Ts, s
+            preview = path.preview(
+                state.x, state.y, state.psi, s, scenario.speed.vx, scenario.speed.spacing,
+                self.preview_steps, Ts,
+            )
+            s = preview.s
+            if s >= length:  # the end lies between the last instant and this one
+                self.s_end = length
+                self.duration = t - Ts * (s - length) / (s - s_before)
+                return ""
+            self.s_end, self.duration = s, t
+            standing = state.vx < STUCK_SPEED < preview.vx_ref[0]
+            stuck = stuck + 1 if standing else 0
+            reason = self._lost(preview.ey, preview.epsi, t, stuck * Ts)
+            if reason:  # this instant counts, with the command that led to it
+                self._record(t, state, preview, held, None)
+                return reason
+            if observe is not None:
+                observe(plant.axles)
+            cpu = time.thread_time_ns()
+            answer = self.limit.call("command", t, controller.command, state, preview)
+            cpu = time.thread_time_ns() - cpu
+            held = command = checked_command(answer, self.name, t)
+            self._record(t, state, preview, command, cpu * 1e-3)
+            if progress is not None:
+                progress(s / length)
+            if self.delay:
+                queue.append(command)
+                command = queue.popleft()
+            self._lay_road(s)
+            try:
+                state = plant.step(command, wind=scenario.wind.velocity(t, s, preview.psi[0]))
+            except LPVMPCError as error:  # a diverged simulation ends the run, and is its result
+                return f"the plant failed: {error}"
+            k += 1
+
+    def meta(self, reason: str, wall_s: float) -> dict[str, Any]:
+        """What is recorded beside the columns."""
+        stiffness = getattr(self.controller, "stiffness", None)
+        return {
+            "scenario": self.scenario.name,
+            "controller": self.name,
+            "stiffness": getattr(stiffness, "name", None),
+            "clamped_inputs": getattr(stiffness, "clamped", None),
+            "Ts": self.plant.Ts,
+            "Np": self.Np,
+            "completed": not reason,
+            "reason": reason,
+            "s_end_m": self.s_end,
+            "duration_s": self.duration,
+            "reference_duration_s": self.scenario.reference_duration,
+            "has_qp": self.has_qp,
+            "wall_s": wall_s,
+            "realtime_factor": self.duration / wall_s,
+            "versions": versions(),
+            "model_sha256": model_sha256(self.plant.model),
+        }
+
+    def _start(self) -> State:
+        """The car on the start line, trimmed at the reference's speed, curvature and wind.
+
+        It moves along the path, so in a side wind its axis points a little to windward.
+        """
+        scenario = self.scenario
+        x, y, psi, kappa = (float(value) for value in scenario.path.at(0.0))
+        self._lay_road(0.0)
+        wind = scenario.wind.velocity(0.0, 0.0, psi)
+        vx = float(scenario.speed.at(0.0))
+        return self.plant.reset(x, y, psi, vx, kappa=kappa, wind=wind, align="course")
+
+    def _lay_road(self, s: float) -> None:
+        """Put the road's friction under the wheels, where the car is at arc length s [m]."""
+        if self.road_friction is None:
+            return
+        car = self.plant.params
+        front, rear = self.road_friction(s + car.lf), self.road_friction(s - car.lr)
+        if front != self.friction[0] or rear != self.friction[2]:
+            self.friction[:2], self.friction[2:] = front, rear
+            self.plant.friction = self.grip * self.friction
+
+    def _lost(self, ey: float, epsi: float, t: float, stood: float) -> str:
+        """Why the run cannot go on, or ""."""
+        if abs(ey) > EY_LOST:
+            return f"off the path: |ey| > {EY_LOST:g} m"
+        if abs(epsi) > EPSI_LOST:
+            return "spun: |epsi| > pi/2"
+        if self.plant.rolled_over:
+            return "rolled over"
+        if stood >= STUCK_TIME:
+            return f"stuck: vx < {STUCK_SPEED:g} m/s for {STUCK_TIME:g} s"
+        if t > self.time_limit:
+            return f"too slow: {TIME_FACTOR:g} times the reference's time"
+        return ""
+
+    def _record(
+        self,
+        t: float,
+        state: State,
+        preview: Preview,
+        command: Command,
+        step_us: float | None,
+    ) -> None:
+        """Fill one row; `step_us` is None where the controller was not called."""
+        log, plant = self.recorder, self.plant
+        k = log.n
+        log.wheels[k] = plant.wheels
+        log.qpos[k] = plant.qpos
+        residual = math.nan
+        if step_us is not None:
+            times = 0.0, 0.0, 0.0
+            diagnostics = getattr(self.controller, "diagnostics", None)
+            if diagnostics is not None:
+                self.has_qp = True
+                residual = diagnostics.kkt_residual
+                log.solved[k] = diagnostics.solved
+                log.fallback[k] = FALLBACKS.index(diagnostics.fallback)
+                times = diagnostics.build_us, diagnostics.solve_us, diagnostics.check_us
+                if diagnostics.prediction is not None:
+                    log.prediction(preview, diagnostics.prediction)
+            log.times[log.calls] = t, step_us, *times
+            log.calls += 1
+        log.motion[k] = (
+            t, preview.s, state.x, state.y, state.psi, state.vx, state.vy, state.r, state.delta,
+            state.ax, state.ay, preview.ey, preview.epsi, preview.kappa[0], preview.vx_ref[0],
+            preview.x[0], preview.y[0], preview.psi[0], command.delta, command.ax, plant.roll,
+            residual,
+        )  # fmt: skip
+        log.n = k + 1  # last, so that an interrupt never leaves half a row

@@ -1,0 +1,133 @@
+"""Numbers from a Log: tracking errors, the solver's record, step times.
+
+Definitions. Every error is that of the true centre of mass, taken at every control instant from
+the first; an RMSE is the plain root of the mean square over those instants.
+
+- lateral: ey, the signed distance to the path; heading: epsi = psi - psi_path, wrapped;
+  course: epsi + atan2(vy, vx), the direction of motion against the path's; speed: vx - vx_ref.
+- distance: length of the driven line; s_end: arc length reached along the path.
+- step time: thread CPU time of the controller's `command` [us].
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lpvmpc.units import Array
+
+if TYPE_CHECKING:
+    from lpvmpc.sim.log import Log
+
+
+KEYS = (
+    "scenario",
+    "controller",
+    "stiffness",
+    "seed",
+    "completed",
+    "reason",
+    "s_end_m",
+    "distance_m",
+    "duration_s",
+    "reference_duration_s",
+    "lateral_rmse_m",
+    "lateral_max_m",
+    "heading_rmse_rad",
+    "heading_max_rad",
+    "course_rmse_rad",
+    "speed_rmse_mps",
+    "speed_max_mps",
+    "lateral_acc_max_mps2",
+    "step_time_us",
+    "qp",
+    "wall_s",
+    "realtime_factor",
+    "versions",
+    "model_sha256",
+)
+"""Keys of `metrics`, in the order they are written."""
+
+
+def metrics(log: Log) -> dict[str, Any]:
+    """Summary of one run, as written to metrics.json.
+
+    Args:
+        log: A run, complete or not; an empty one (stopped before the first instant) gives None for
+            whatever cannot be measured.
+
+    Returns:
+        Dictionary with exactly the keys `KEYS`: plain Python numbers, strings, dictionaries and
+        None, ready for JSON. Units are in the names; `qp` counts solved and refused steps.
+    """
+    c, meta = log.columns, log.meta
+    course = wrap(c["epsi_rad"] + np.arctan2(c["vy_mps"], c["vx_mps"]))
+    speed_error = c["vx_mps"] - c["vx_ref_mps"]
+    driven = np.hypot(np.diff(c["x_m"]), np.diff(c["y_m"]))
+    values = {
+        **{key: meta[key] for key in KEYS if key in meta},
+        "distance_m": float(driven.sum()),
+        "lateral_rmse_m": rms(c["ey_m"]),
+        "lateral_max_m": largest(c["ey_m"]),
+        "heading_rmse_rad": rms(c["epsi_rad"]),
+        "heading_max_rad": largest(c["epsi_rad"]),
+        "course_rmse_rad": rms(course),
+        "speed_rmse_mps": rms(speed_error),
+        "speed_max_mps": largest(speed_error),
+        "lateral_acc_max_mps2": largest(c["ay_mps2"]),
+        "step_time_us": step_times(log.timing["step_us"]),
+        "qp": solver_record(log),
+    }
+    return {key: values[key] for key in KEYS}
+
+
+def wrap(angle: Array) -> Array:
+    """The angle in [-pi, pi) [rad], shape (...,)."""
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi
+
+
+def rms(error: Array) -> float | None:
+    """Root of the mean square of an error, shape (n,); None without samples."""
+    return _finite(math.sqrt(np.mean(np.square(error)))) if len(error) else None
+
+
+def largest(error: Array) -> float | None:
+    """Largest magnitude of an error, shape (n,); None without samples."""
+    return _finite(np.max(np.abs(error))) if len(error) else None
+
+
+def step_times(step_us: Array) -> dict[str, float | None]:
+    """Mean, median, 99th percentile and worst of the controller's step times [us], shape (n,)."""
+    if not len(step_us):
+        return dict.fromkeys(("mean", "p50", "p99", "max"))
+    p50, p99 = np.percentile(step_us, (50.0, 99.0))
+    return {
+        "mean": float(np.mean(step_us)),
+        "p50": float(p50),
+        "p99": float(p99),
+        "max": float(np.max(step_us)),
+    }
+
+
+def solver_record(log: Log) -> dict[str, Any]:
+    """Number of solved and of refused QPs, and the largest KKT residual among the solved.
+
+    A controller without a QP has zero of both and no residual.
+    """
+    solved = log.columns["solved"].astype(bool)
+    fallback = log.columns["fallback"] != 0
+    residual = log.columns["kkt_residual"][solved]
+    residual = residual[np.isfinite(residual)]
+    has_qp = bool(log.meta.get("has_qp", True))
+    return {
+        "solved": int(solved.sum()) if has_qp else 0,
+        "fallback": int(fallback.sum()) if has_qp else 0,
+        "max_kkt_residual": float(residual.max()) if has_qp and len(residual) else None,
+    }
+
+
+def _finite(value: float) -> float | None:
+    """The value as a plain float, None when it is NaN or infinite (JSON has neither)."""
+    return float(value) if math.isfinite(value) else None

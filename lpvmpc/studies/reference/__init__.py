@@ -1,0 +1,1 @@
+"""What the car is compared with: closed forms, golden values, other models, broken cars."""

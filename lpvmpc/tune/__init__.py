@@ -1,0 +1,1 @@
+"""The improved genetic algorithm, the particle swarm, and the tuning of weights."""
