@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from lpvmpc.errors import OptionError
 from lpvmpc.units import Array
+
+FALLBACKS = ("", "shifted", "braking")
+"""What a controller may do after a refused solve; the trace writes 0, 1, 2."""
 
 
 class State(NamedTuple):
@@ -98,7 +103,7 @@ class Preview(NamedTuple):
 
 @dataclass
 class Diagnostics:
-    """What happened inside the last `LPVMPC.command`."""
+    """What happened inside the last `command`."""
 
     solved: bool = True
     """Whether the QP was solved and its solution passed the check."""
@@ -121,10 +126,131 @@ class Diagnostics:
 
 
 class Controller(Protocol):
-    """What drives the car: sees the state and the road ahead, returns a command."""
+    """What drives the car: sees the state and the road ahead, returns a command.
+
+    These two methods are all that a class must have. It may have more, which `declared` and
+    `told_by` read and nobody else does:
+
+    - `name` (str): what to call it in results; default: the name of its class;
+    - `Ts` (float): its control period [s], refused where it is not the plant's;
+    - `Np` (int): horizon of its `diagnostics.prediction` [periods]; default 10;
+    - `preview_steps` (int): periods of preview that it wants; default `Np`;
+    - `weights` (a dataclass, or numbers and texts by name): saved beside the results;
+    - `stiffness`: an object whose `name` says what it adapts with, and whose `clamped` counts the
+      inputs that lay outside the range it was trained in;
+    - `diagnostics` (`Diagnostics`, or an object with some of its fields): what happened inside the
+      last `command`; whoever has it is listed with its solver's record.
+    """
 
     def reset(self, rng: np.random.Generator) -> None:
         """Forget the last run; `rng` is the only source of randomness a controller may use."""
 
     def command(self, state: State, preview: Preview) -> Command:
         """Steering angle [rad] and acceleration [m/s2] for the coming control period."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Declared:
+    """What a controller says of itself, read once before a run and checked."""
+
+    name: str
+    """What to call it."""
+    Ts: float | None
+    """Control period [s]; None: any."""
+    Np: int
+    """Horizon of its predictions [periods]."""
+    preview_steps: int
+    """Periods of preview that it wants."""
+    weights: dict[str, Any]
+    """Its weights by name."""
+    stiffness: str | None
+    """Name of what it adapts with; None: it does not say."""
+
+
+MAX_PREVIEW = 3000
+"""Longest preview that a controller may ask for [periods]."""
+
+
+def declared(controller: Controller) -> Declared:
+    """Read what a controller says of itself; see `Controller`.
+
+    Raises:
+        OptionError: An attribute that cannot be what it has to be; the message names it.
+    """
+    name = getattr(controller, "name", None) or type(controller).__name__
+    Ts = getattr(controller, "Ts", None)
+    if Ts is not None and not (_is_number(Ts) and Ts > 0.0):
+        raise OptionError("controller Ts", Ts, "a number of seconds above 0")
+    Np = _steps("Np", getattr(controller, "Np", 10))
+    steps = _steps("preview_steps", getattr(controller, "preview_steps", Np))
+    given = getattr(controller, "weights", None)
+    weights: Any = {} if given is None else given
+    if is_dataclass(weights) and not isinstance(weights, type):
+        weights = asdict(weights)
+    if not isinstance(weights, Mapping):
+        raise OptionError("controller weights", given, "a dataclass, or numbers by name")
+    for key, value in weights.items():
+        if not (isinstance(key, str) and (isinstance(value, str | bool) or _is_number(value))):
+            raise OptionError(f"controller weight {key}", value, "a finite number or a text")
+    stiffness = getattr(getattr(controller, "stiffness", None), "name", None)
+    return Declared(
+        name=str(name),
+        Ts=None if Ts is None else float(Ts),
+        Np=Np,
+        preview_steps=steps,
+        weights=dict(weights),
+        stiffness=stiffness if isinstance(stiffness, str) else None,
+    )
+
+
+def clamped_inputs(controller: Controller) -> int | None:
+    """Inputs of its network outside the trained range since the reset; None: it has none."""
+    count = getattr(getattr(controller, "stiffness", None), "clamped", None)
+    return count if isinstance(count, int) else None
+
+
+def told_by(controller: Controller) -> Diagnostics | None:
+    """What a controller tells of its last command; fields that it leaves out have their defaults.
+
+    Raises:
+        OptionError: A field that cannot be what it has to be; the message names it.
+    """
+    told = getattr(controller, "diagnostics", None)
+    if told is None or type(told) is Diagnostics:
+        return told
+    whole = Diagnostics()
+    for f in fields(Diagnostics):
+        value = getattr(told, f.name, None)
+        if value is not None:
+            setattr(whole, f.name, value)
+    whole.solved = bool(whole.solved)
+    if whole.fallback not in FALLBACKS:
+        raise OptionError("diagnostics.fallback", whole.fallback, f"one of {FALLBACKS}")
+    for name in ("kkt_residual", "build_us", "solve_us", "check_us"):
+        value = getattr(whole, name)
+        if not isinstance(value, int | float | np.number) or isinstance(value, bool):
+            raise OptionError(f"diagnostics.{name}", value, "a number")
+    if getattr(told, "prediction", None) is None:
+        whole.prediction = np.zeros((0, 5))
+    try:
+        whole.prediction = np.asarray(whole.prediction, dtype=np.float64)
+    except (TypeError, ValueError):
+        whole.prediction = np.zeros(1)  # refused below, as every wrong shape
+    if whole.prediction.ndim != 2 or whole.prediction.shape[1] != 5:
+        raise OptionError(
+            "diagnostics.prediction", type(told).__name__, "numbers of shape (Np + 1, 5)"
+        )
+    return whole
+
+
+def _steps(name: str, value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+        raise OptionError(f"controller {name}", value, "a whole number")
+    if not 1 <= value <= MAX_PREVIEW:
+        raise OptionError(f"controller {name}", value, f"from 1 to {MAX_PREVIEW}")
+    return int(value)
+
+
+def _is_number(value: Any) -> bool:
+    number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    return number and bool(np.isfinite(value))

@@ -1,8 +1,10 @@
 import dataclasses
+import math
 import os
 import signal
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -140,20 +142,66 @@ def test_delayed_commands_reach_the_car_later(point_plant, straight):
     assert steering == [0.001, 0.001, 1e-6, 2e-6]
 
 
-def test_only_a_controller_that_observes_is_told_the_axle_forces(point_plant, straight):
-    seen = []
+def test_a_users_controller_is_never_told_the_axle_forces(point_plant, straight):
+    class Curious(Straight):
+        name = "oracle"
 
-    class Oracle(Straight):
         def observe(self, axles):
-            seen.append(axles)
+            raise AssertionError("told")
 
-    point_plant.axles = "forces"
-    log = simulate(point_plant, Oracle(), straight)
-    assert seen == ["forces"] * len(log)
-    adaptive = Straight()
-    adaptive.stiffness = Oracle()  # or its stiffness model
-    simulate(point_plant, adaptive, straight)
-    assert seen == ["forces"] * 2 * len(log)
+    class Subclass(type(load_controller("lpv-mpc"))):
+        """Of the package's own class, and with its oracle."""
+
+        def command(self, state, preview):
+            assert self.stiffness.friction == 1.0  # what the road of 0.5 would have changed
+            return Command(0.0, 0.0)
+
+    curious = Curious()
+    curious.stiffness = Curious()  # nor whatever it calls its stiffness model
+    assert not simulate(point_plant, curious, straight).meta["told_axle_forces"]
+    oracle = load_controller("lpv-mpc", stiffness="oracle")
+    spy = Subclass(oracle.car, stiffness=oracle.stiffness)
+    assert not simulate(Plant(friction=0.5), spy, straight).meta["told_axle_forces"]
+
+
+@pytest.mark.parametrize("options", [{}, {"stiffness_scale": 0.9}])
+def test_the_packages_oracle_is_told_them_and_the_log_says_so(straight, options):
+    oracle = load_controller("lpv-mpc", stiffness="oracle", **options)
+    log = simulate(Plant(friction=0.5), oracle, straight)
+    assert log.meta["told_axle_forces"]
+    assert oracle.stiffness.friction == pytest.approx(0.5, abs=0.01)
+    assert not simulate(Plant(), load_controller("lpv-mpc"), straight).meta["told_axle_forces"]
+
+
+def test_what_a_controller_says_of_itself_is_read_once_and_checked(point_plant, straight):
+    for wrong, sentence in (
+        ({"Ts": "fast"}, "controller Ts is 'fast', but must be a number of seconds above 0"),
+        ({"Ts": 0.02}, "controller Ts is 0.02, but must be the plant's, 0.033 s"),
+        ({"Np": 2.5}, "controller Np is 2.5, but must be a whole number"),
+        ({"Np": 0}, "controller Np is 0, but must be from 1 to 3000"),
+        ({"preview_steps": 10**9}, "preview_steps is 1000000000, but must be from 1 to 3000"),
+        ({"weights": {"q": math.nan}}, "controller weight q is nan, but must be a finite number"),
+        ({"weights": 3}, "controller weights is 3, but must be a dataclass, or numbers by name"),
+    ):
+        made = Straight()
+        vars(made).update(wrong)
+        with pytest.raises(OptionError, match=sentence):
+            simulate(point_plant, made, straight)
+
+
+def test_diagnostics_may_be_told_in_part(point_plant, straight):
+    made = Straight()
+    made.diagnostics = SimpleNamespace(solved=False, fallback="braking")
+    log = simulate(point_plant, made, straight)
+    assert not log.columns["solved"].any() and (log.columns["fallback"] == 2).all()
+    for wrong, name in (
+        ({"fallback": "panic"}, "diagnostics.fallback"),
+        ({"kkt_residual": "small"}, "diagnostics.kkt_residual"),
+        ({"prediction": "ahead"}, "diagnostics.prediction"),
+    ):
+        made.diagnostics = SimpleNamespace(**wrong)
+        with pytest.raises(OptionError, match=name):
+            simulate(point_plant, made, straight)
 
 
 def test_the_generator_depends_on_the_seed_alone(point_plant, straight):

@@ -9,13 +9,15 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from lpvmpc.car.params import VehicleParams
-from lpvmpc.control.stiffness.models import StiffnessModel
 from lpvmpc.errors import OptionError, UnknownNameError
-from lpvmpc.interface import Controller
-from lpvmpc.units import Array
+
+if TYPE_CHECKING:
+    from lpvmpc.car.params import VehicleParams
+    from lpvmpc.control.stiffness.models import StiffnessModel
+    from lpvmpc.interface import Controller
+    from lpvmpc.units import Array
 
 CONTROLLERS = {
     "lpv-mpc": ("lpv_mpc", "adaptive"),
@@ -36,19 +38,20 @@ STIFFNESS_MODELS = {
 }
 """Stiffness models by name: module and class, made from the car."""
 
-Coefficients = tuple[Array, Array]
-"""Magic Formula coefficients of the front and of the rear tires."""
-
 
 def make_controller(
-    name: str, car: VehicleParams, coefficients: Callable[[], Coefficients], **options: Any
+    name: str,
+    car: VehicleParams,
+    coefficients: Callable[[], tuple[Array, Array]],
+    **options: Any,
 ) -> Controller:
     """A controller of the package by name.
 
     Args:
         name: One of `CONTROLLERS`.
         car: Parameters of the car it drives.
-        coefficients: Gives the tires' coefficients; called for the oracle alone.
+        coefficients: Gives the coefficients of the tires, front and rear; called for the
+            oracle alone.
         options: Arguments of its maker. A stiffness model may be named, be given the network of a
             `stiffness_file`, and made wrong by `stiffness_scale`, `stiffness_noise` and
             `stiffness_seed` (see `perturbed`); a formulation may be a dictionary of what differs
@@ -73,7 +76,9 @@ def make_controller(
 
 
 def _with_stiffness(
-    options: dict[str, Any], car: VehicleParams, coefficients: Callable[[], Coefficients]
+    options: dict[str, Any],
+    car: VehicleParams,
+    coefficients: Callable[[], tuple[Array, Array]],
 ) -> dict[str, Any]:
     """The options with the stiffness model in place of its name and of what changes it."""
     options = dict(options)
@@ -91,7 +96,7 @@ def _with_stiffness(
 def make_stiffness(
     name: str,
     car: VehicleParams,
-    coefficients: Callable[[], Coefficients],
+    coefficients: Callable[[], tuple[Array, Array]],
     *,
     file: str | None = None,
     **wrong: Any,
@@ -101,7 +106,8 @@ def make_stiffness(
     Args:
         name: One of `STIFFNESS_MODELS`.
         car: Parameters of the car.
-        coefficients: Gives the tires' coefficients; called for the oracle alone.
+        coefficients: Gives the coefficients of the tires, front and rear; called for the
+            oracle alone.
         file: Trained network in place of the shipped one.
         wrong: What makes it wrong on purpose: `scale`, `noise`, `seed` of `PerturbedStiffness`.
 
@@ -126,6 +132,21 @@ def make_stiffness(
 
         model = PerturbedStiffness(model, **wrong)
     return model
+
+
+def oracle_of(controller: Controller) -> Any:
+    """The oracle that a controller of this package drives with; None for all other controllers.
+
+    Only it is told the true axle forces. A user's class is not, whatever its methods are called
+    and whatever it keeps as its `stiffness`.
+    """
+    from lpvmpc.control.stiffness.models import OracleStiffness, SecantOracle
+
+    if not type(controller).__module__.startswith("lpvmpc."):
+        return None
+    model = getattr(controller, "stiffness", None)
+    inner = getattr(model, "model", model)  # of a perturbed one
+    return model if isinstance(inner, OracleStiffness | SecantOracle) else None
 
 
 def _attribute(module: str, name: str) -> Any:

@@ -18,7 +18,7 @@ import numpy as np
 
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.errors import OptionError
-from lpvmpc.interface import Command, State
+from lpvmpc.interface import Command, State, declared
 from lpvmpc.learn.dataset import Row
 from lpvmpc.plant import callbacks
 from lpvmpc.plant.mjcf import packaged_car
@@ -234,7 +234,7 @@ class Lap:
     ):
         """Args: who drives, where, how fast, from which arc length [m], control period [s]."""
         self.controller, self.path, self.speed, self.s, self.Ts = controller, path, speed, s, Ts
-        self.steps = int(getattr(controller, "preview_steps", getattr(controller, "Np", 10)))
+        self.steps = declared(controller).preview_steps
         self.lost = False
         controller.reset(np.random.default_rng(0))
 

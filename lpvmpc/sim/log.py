@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lpvmpc.errors import OutputError
+from lpvmpc.interface import FALLBACKS
 from lpvmpc.units import Array
 
 if TYPE_CHECKING:
@@ -52,8 +53,6 @@ MOTION = (
 """Scalar columns of the trace, in the order in which `Recorder.row` takes them."""
 PER_WHEEL = ("Fx_{}_N", "Fy_{}_N", "Fz_{}_N", "slip_ratio_{}", "slip_angle_{}_rad", "mu_{}")
 TIMES = ("t_s", "step_us", "build_us", "solve_us", "check_us")
-FALLBACKS = ("", "shifted", "braking")
-"""Meaning of the trace column `fallback`: 0, 1, 2."""
 
 
 @dataclass

@@ -11,17 +11,27 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import asdict, is_dataclass
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lpvmpc.control.registry import oracle_of
 from lpvmpc.errors import LPVMPCError, OptionError
-from lpvmpc.interface import Command, Controller, State
+from lpvmpc.interface import (
+    FALLBACKS,
+    Command,
+    Controller,
+    Declared,
+    State,
+    clamped_inputs,
+    declared,
+    told_by,
+)
 from lpvmpc.kit.provenance import model_sha256, versions
 from lpvmpc.plant.plant import DRIVE, STEER, Plant
 from lpvmpc.sim.guard import TimeLimit, checked_command
-from lpvmpc.sim.log import FALLBACKS, Log, Recorder
+from lpvmpc.sim.log import Log, Recorder
 
 if TYPE_CHECKING:
     from lpvmpc.interface import Preview
@@ -87,10 +97,12 @@ def simulate(
     if step_timeout is not None and not (math.isfinite(step_timeout) and step_timeout > 0.0):
         raise OptionError("step_timeout", step_timeout, "a positive number of seconds")
     Ts = plant.Ts
-    if not math.isclose(getattr(controller, "Ts", Ts), Ts, rel_tol=1e-9):
-        raise OptionError("controller Ts", getattr(controller, "Ts", None), f"the plant's, {Ts} s")
-    name = name or str(getattr(controller, "name", type(controller).__name__))
-    loop = _Loop(plant, controller, scenario, name, delay, step_timeout)
+    about = declared(controller)
+    if about.Ts is not None and not math.isclose(about.Ts, Ts, rel_tol=1e-9):
+        raise OptionError("controller Ts", about.Ts, f"the plant's, {Ts} s")
+    if name:
+        about = replace(about, name=name)
+    loop = _Loop(plant, controller, scenario, about, delay, step_timeout)
     wall = time.perf_counter()
     try:
         with loop.limit.installed():
@@ -102,9 +114,7 @@ def simulate(
     wall = time.perf_counter() - wall
     meta = loop.meta(reason, wall)
     meta.update(seed=seed, options={"delay": delay, **(options or {})})
-    weights: Any = getattr(controller, "weights", {})
-    weights = asdict(weights) if is_dataclass(weights) else dict(weights)  # type: ignore[arg-type]
-    return loop.recorder.log(meta, scenario, weights)
+    return loop.recorder.log(meta, scenario, about.weights)
 
 
 class _Loop:
@@ -115,18 +125,17 @@ class _Loop:
         plant: Plant,
         controller: Controller,
         scenario: Scenario,
-        name: str,
+        about: Declared,
         delay: int,
         step_timeout: float | None,
     ):
-        self.plant, self.controller, self.scenario, self.name = plant, controller, scenario, name
-        self.limit = TimeLimit(step_timeout, name)
+        self.plant, self.controller, self.scenario = plant, controller, scenario
+        self.about = about
+        self.limit = TimeLimit(step_timeout, about.name)
         self.delay = delay
-        self.Np = int(getattr(controller, "Np", 10))
-        self.preview_steps = int(getattr(controller, "preview_steps", self.Np))
         self.time_limit = TIME_FACTOR * scenario.reference_duration
         rows = math.ceil(self.time_limit / plant.Ts) + 2
-        self.recorder = Recorder(rows, self.Np, len(plant.qpos))
+        self.recorder = Recorder(rows, about.Np, len(plant.qpos))
         self.grip = np.array(plant.friction)  # the plant's own, which the road's multiplies
         self.road_friction = scenario.friction
         self.friction = np.ones(4)  # of the road under the wheels
@@ -141,14 +150,13 @@ class _Loop:
         self.limit.call("reset", 0.0, controller.reset, np.random.default_rng(seed))
         held = Command(float(plant.data.ctrl[STEER]), float(plant.data.ctrl[DRIVE]))
         queue = deque([held] * self.delay)
-        told: tuple[Any, ...] = (controller, getattr(controller, "stiffness", None))
-        observe = next((one.observe for one in told if hasattr(one, "observe")), None)
+        oracle = oracle_of(controller)
         s, stuck, k = 0.0, 0, 0
         while True:
             t, s_before = k * Ts, s
             preview = path.preview(
                 state.x, state.y, state.psi, s, scenario.speed.vx, scenario.speed.spacing,
-                self.preview_steps, Ts,
+                self.about.preview_steps, Ts,
             )
             s = preview.s
             if s >= length:  # the end lies between the last instant and this one
@@ -162,12 +170,12 @@ class _Loop:
             if reason:  # this instant counts, with the command that led to it
                 self._record(t, state, preview, held, None)
                 return reason
-            if observe is not None:
-                observe(plant.axles)
+            if oracle is not None:
+                oracle.observe(plant.axles)
             cpu = time.thread_time_ns()
             answer = self.limit.call("command", t, controller.command, state, preview)
             cpu = time.thread_time_ns() - cpu
-            held = command = checked_command(answer, self.name, t)
+            held = command = checked_command(answer, self.about.name, t)
             self._record(t, state, preview, command, cpu * 1e-3)
             if progress is not None:
                 progress(s / length)
@@ -183,14 +191,14 @@ class _Loop:
 
     def meta(self, reason: str, wall_s: float) -> dict[str, Any]:
         """What is recorded beside the columns."""
-        stiffness = getattr(self.controller, "stiffness", None)
         return {
             "scenario": self.scenario.name,
-            "controller": self.name,
-            "stiffness": getattr(stiffness, "name", None),
-            "clamped_inputs": getattr(stiffness, "clamped", None),
+            "controller": self.about.name,
+            "stiffness": self.about.stiffness,
+            "clamped_inputs": clamped_inputs(self.controller),
+            "told_axle_forces": oracle_of(self.controller) is not None,
             "Ts": self.plant.Ts,
-            "Np": self.Np,
+            "Np": self.about.Np,
             "completed": not reason,
             "reason": reason,
             "s_end_m": self.s_end,
@@ -255,14 +263,14 @@ class _Loop:
         residual = math.nan
         if step_us is not None:
             times = 0.0, 0.0, 0.0
-            diagnostics = getattr(self.controller, "diagnostics", None)
+            diagnostics = told_by(self.controller)
             if diagnostics is not None:
                 self.has_qp = True
                 residual = diagnostics.kkt_residual
                 log.solved[k] = diagnostics.solved
                 log.fallback[k] = FALLBACKS.index(diagnostics.fallback)
                 times = diagnostics.build_us, diagnostics.solve_us, diagnostics.check_us
-                if diagnostics.prediction is not None:
+                if len(diagnostics.prediction):
                     log.prediction(preview, diagnostics.prediction)
             log.times[log.calls] = t, step_us, *times
             log.calls += 1
