@@ -1,3 +1,4 @@
+import numpy as np
 import pytest
 
 from lpvmpc.car import tire
@@ -49,9 +50,19 @@ def test_other_units_are_refused(tmp_path):
         read_tir(write(tmp_path / "a.tir", text=TEXT.replace("radians", "degree")))
 
 
-def test_a_word_instead_of_a_number_is_named(tmp_path):
-    with pytest.raises(DataError, match="PCY1 as 'many'"):
-        read_tir(write(tmp_path / "a.tir", PCY1="many"))
+@pytest.mark.parametrize("value", ["many", "nan", "inf", ""])
+def test_what_is_no_finite_number_is_named(tmp_path, value):
+    with pytest.raises(DataError, match=f"PCY1 as '{value}', but must give a finite number"):
+        read_tir(write(tmp_path / "a.tir", PCY1=value))
+
+
+def test_the_mass_of_the_tire_is_not_the_unit_of_mass(tmp_path):
+    inertia = "[INERTIA]\nMASS = 9.3 $ of the tire\n"
+    plain = read_tir(write(tmp_path / "a.tir"))
+    np.testing.assert_array_equal(read_tir(write(tmp_path / "b.tir", text=inertia + TEXT)), plain)
+    pounds = TEXT.replace("[UNITS]", "[UNITS]\nMASS = 'pound_mass'")
+    with pytest.raises(DataError, match="MASS in 'pound_mass', but must give it in kg"):
+        read_tir(write(tmp_path / "c.tir", text=inertia + pounds))
 
 
 def test_a_missing_file_is_one_sentence(tmp_path):

@@ -1,5 +1,6 @@
 """Reading the tire coefficients of .tir property files (MF5.2, PAC2002)."""
 
+import math
 import re
 from pathlib import Path
 
@@ -47,15 +48,16 @@ def read_tir(path: str | Path) -> Array:
         Read-only array in the order of `tire.COEFFICIENTS`.
 
     Raises:
-        DataError: the file cannot be read, is not in SI units, or lacks a coefficient.
+        DataError: the file cannot be read, is not in SI units, lacks a coefficient, or gives one
+            that is no finite number.
     """
     try:
         text = Path(path).read_text(encoding="utf-8", errors="replace")
     except OSError as error:
         raise DataError(f"{path} cannot be read: {error.strerror}.") from None
-    entries = dict(_entries(text))
+    units, entries = _entries(text)
     for quantity, unit in _SI.items():
-        given = entries.get(quantity, unit)
+        given = units.get(quantity, unit)
         if given.rstrip("s") != unit.rstrip("s"):
             raise DataError(f"{path} gives {quantity} in {given!r}, but must give it in {unit}.")
     values, missing = {}, []
@@ -75,19 +77,29 @@ def read_tir(path: str | Path) -> Array:
     return coefficients(values)
 
 
-def _entries(text: str) -> list[tuple[str, str]]:
-    """KEY = value pairs; a $ or ! begins a comment, [..] a section."""
-    pairs = []
+def _entries(text: str) -> tuple[dict[str, str], dict[str, str]]:
+    """KEY = value of the section [UNITS], and of all others; a $ or ! begins a comment.
+
+    They are kept apart because MASS is a unit in the one and the tire's mass in [INERTIA].
+    """
+    units: dict[str, str] = {}
+    values: dict[str, str] = {}
+    section = values
     for line in text.splitlines():
-        line = re.split(r"[$!]", line, maxsplit=1)[0]
+        line = re.split(r"[$!]", line, maxsplit=1)[0].strip()
+        if line.startswith("["):
+            section = units if line[1:].partition("]")[0].strip().upper() == "UNITS" else values
         key, equals, value = line.partition("=")
         if equals:
-            pairs.append((key.strip().upper(), value.strip().strip("'\"").lower()))
-    return pairs
+            section[key.strip().upper()] = value.strip().strip("'\"").lower()
+    return units, values
 
 
 def _number(path: str | Path, key: str, value: str) -> float:
     try:
-        return float(value)
+        number = float(value)
     except ValueError:
-        raise DataError(f"{path} gives {key} as {value!r}, but must give a number.") from None
+        number = math.nan
+    if not math.isfinite(number):
+        raise DataError(f"{path} gives {key} as {value!r}, but must give a finite number.")
+    return number
