@@ -20,7 +20,7 @@ import tyro
 
 from lpvmpc.errors import LPVMPCError
 from lpvmpc.kit import cli
-from lpvmpc.sim.log import write_json, write_text
+from lpvmpc.kit.files import write_json, write_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

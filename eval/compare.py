@@ -18,8 +18,8 @@ import tyro
 
 from lpvmpc.errors import LPVMPCError, OptionError, RenderError
 from lpvmpc.kit import cli
+from lpvmpc.kit.files import write_json
 from lpvmpc.kit.provenance import commit, machine
-from lpvmpc.sim.log import write_json
 
 if TYPE_CHECKING:
     from lpvmpc.interface import Controller

@@ -19,7 +19,7 @@ import tyro
 
 from lpvmpc.errors import UnknownNameError
 from lpvmpc.kit import cli
-from lpvmpc.sim.log import write_json, write_text
+from lpvmpc.kit.files import write_json, write_text
 
 if TYPE_CHECKING:
     from lpvmpc.studies.study import StudyResult

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from lpvmpc.kit import cli
-from lpvmpc.sim.log import write_json, write_text
+from lpvmpc.kit.files import write_json, write_text
 
 if TYPE_CHECKING:
     from lpvmpc.paper.measurements import Evidence

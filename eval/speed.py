@@ -20,9 +20,9 @@ import tyro
 
 from lpvmpc.errors import RenderError
 from lpvmpc.kit import cli
+from lpvmpc.kit.files import write_json, write_text
 from lpvmpc.kit.markdown import markdown_table
 from lpvmpc.kit.provenance import commit, machine, versions
-from lpvmpc.sim.log import write_json, write_text
 
 if TYPE_CHECKING:
     from lpvmpc.bench.speed import Figure

@@ -22,8 +22,8 @@ import tyro
 
 from lpvmpc.errors import LPVMPCError, OutputError, RenderError
 from lpvmpc.kit import cli
+from lpvmpc.kit.files import write_json
 from lpvmpc.kit.provenance import commit, machine
-from lpvmpc.sim.log import write_json
 
 if TYPE_CHECKING:
     from lpvmpc.plant.plant import Plant

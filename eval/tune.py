@@ -20,7 +20,7 @@ import tyro
 
 from lpvmpc.errors import OptionError
 from lpvmpc.kit import cli
-from lpvmpc.sim.log import write_json
+from lpvmpc.kit.files import write_json
 
 if TYPE_CHECKING:
     from lpvmpc.tune.checkpoint import State

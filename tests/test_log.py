@@ -6,7 +6,8 @@ import pytest
 
 from lpvmpc.errors import OutputError
 from lpvmpc.interface import Command
-from lpvmpc.sim.log import MOTION, PER_WHEEL, WHEELS, write_json, write_table, write_text
+from lpvmpc.kit.files import write_json, write_table, write_text
+from lpvmpc.sim.log import MOTION, PER_WHEEL, WHEELS
 from lpvmpc.sim.loop import simulate
 
 

@@ -24,7 +24,7 @@ from lpvmpc.bench.cases import (
     geometric_mean,
 )
 from lpvmpc.bench.verdict import Bar, Table, bars, sentences
-from lpvmpc.errors import OutputError
+from lpvmpc.kit.files import write_picture
 from lpvmpc.kit.markdown import markdown_table
 from lpvmpc.kit.provenance import commit, machine, versions
 
@@ -359,9 +359,4 @@ def draw(rows: Sequence[Row], file: Path) -> None:
             axes.set_xlabel("share of the grip [%]")
         handles, labels = grid[0, 1].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=4, handlelength=2.4)
-        part = file.with_name(file.name + ".part")
-        try:
-            figure.savefig(part, dpi=200, format="png", metadata={"Software": None})
-            part.replace(file)
-        except OSError as error:
-            raise OutputError(f"Cannot write {str(file)!r}: {error.strerror or error}.") from error
+        write_picture(file, figure, dpi=200)

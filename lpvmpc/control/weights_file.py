@@ -25,7 +25,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, TypeVar
 
-from lpvmpc.errors import DataError, OptionError, OutputError
+from lpvmpc.errors import DataError, OptionError
+from lpvmpc.kit.files import write_text
 
 WeightsT = TypeVar("WeightsT")
 
@@ -87,14 +88,7 @@ def write_weights(
     lines += ["", "[record]"]
     # JSON's strings, numbers and lists are TOML's as well
     lines += [f"{name} = {json.dumps(value)}" for name, value in record.items()]
-    path = Path(file)
-    part = path.with_name(path.name + ".part")
-    try:
-        part.write_text("\n".join(lines) + "\n", encoding="utf-8")
-        part.replace(path)
-    except OSError as error:
-        why = error.strerror or str(error)
-        raise OutputError(f"Cannot write {os.fspath(file)!r}: {why}.") from error
+    write_text(file, "\n".join(lines) + "\n")
 
 
 def apply(weights: WeightsT, changes: Mapping[str, float], source: str = "weights") -> WeightsT:

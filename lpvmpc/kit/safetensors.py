@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lpvmpc.errors import DataError, OutputError
+from lpvmpc.errors import DataError
+from lpvmpc.kit.files import whole
 
 TYPES = {"F64": np.float64, "F32": np.float32, "I64": np.int64}
 """Types that are read and written."""
@@ -50,13 +51,8 @@ def write(
         offset += len(blob)
     text = json.dumps(header, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 8)  # the arrays begin aligned
-    path = Path(file)
-    part = path.with_name(path.name + ".part")
-    try:
+    with whole(file) as part:
         part.write_bytes(len(text).to_bytes(8, "little") + text + b"".join(blobs))
-        os.replace(part, path)
-    except OSError as error:
-        raise OutputError(f"Cannot write {str(path)!r}: {error.strerror or error}.") from error
 
 
 def read(file: str | os.PathLike[str]) -> tuple[dict[str, npt.NDArray[Any]], dict[str, str]]:

@@ -12,7 +12,6 @@ import copy
 import json
 import math
 import multiprocessing
-import os
 import shutil
 import signal
 from collections.abc import Callable, Iterator
@@ -26,6 +25,7 @@ import mujoco
 import numpy as np
 
 from lpvmpc.errors import DataError, LPVMPCError, OptionError, OutputError
+from lpvmpc.kit.files import whole, write_json
 from lpvmpc.kit.provenance import model_sha256, versions
 from lpvmpc.learn import dataset, manoeuvres
 from lpvmpc.learn.manoeuvres import KINDS, ROWS
@@ -173,9 +173,7 @@ def _prepare(folder: Path, facts: dict[str, Any]) -> None:
             raise DataError(f"{str(plan_file)!r} is damaged; start without --resume.") from error
         _check_plan(left, facts, folder)
         return
-    part = plan_file.with_suffix(".part")
-    part.write_text(json.dumps(facts, indent=1, sort_keys=True) + "\n")
-    os.replace(part, plan_file)
+    write_json(plan_file, facts)
 
 
 def _check_plan(left: dict[str, Any], facts: dict[str, Any], where: Path) -> None:
@@ -271,10 +269,8 @@ def write_shard(driver: Driver, folder: Path, shard: int, facts: dict[str, Any])
     fields = dataset.schema().with_metadata(dataset.metadata({**facts, "shard": shard}))
     table = pa.table([pa.array(a) for a in arrays], schema=fields).slice(0, plan.rows_of(shard))
     path = _shard_file(folder, shard)
-    part = path.with_name(f"{path.name}.{os.getpid()}.part")
-    with _writing(path):
+    with whole(path) as part:
         pq.write_table(table, part, compression="zstd", write_statistics=False)
-        os.replace(part, path)
 
 
 def _whole(folder: Path, shard: int, plan: Plan, facts: dict[str, Any]) -> bool:
@@ -298,8 +294,10 @@ def merge(plan: Plan, folder: Path, out: Path, facts: dict[str, Any]) -> None:
     import pyarrow.parquet as pq
 
     fields = dataset.schema().with_metadata(dataset.metadata(facts))
-    part = out.with_name(out.name + ".part")
-    with pq.ParquetWriter(part, fields, compression="zstd", write_statistics=False) as writer:
+    with (
+        whole(out) as part,
+        pq.ParquetWriter(part, fields, compression="zstd", write_statistics=False) as writer,
+    ):
         waiting, rows = [], 0
         for shard in range(plan.shards):
             table = pq.ParquetFile(_shard_file(folder, shard)).read()
@@ -308,7 +306,6 @@ def merge(plan: Plan, folder: Path, out: Path, facts: dict[str, Any]) -> None:
             if rows >= ROW_GROUP or shard == plan.shards - 1:
                 writer.write_table(pa.concat_tables(waiting), row_group_size=rows)
                 waiting, rows = [], 0
-    os.replace(part, out)
 
 
 # Processes ---------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lpvmpc.errors import OutputError
+from lpvmpc.kit.files import write_picture
 from lpvmpc.learn import dataset
 
 PANELS = (
@@ -115,9 +115,4 @@ def draw(found: Coverage, file: Path) -> None:
         axes.grid(alpha=0.3)
     rows = sum(kind.rows for kind in found.kinds.values())
     figure.suptitle(f"What the {rows:,} samples cover (colour: samples per cell, logarithmic)")
-    part = file.with_name(file.name + ".part")
-    try:
-        figure.savefig(part, dpi=110, format="png", metadata={"Software": None})
-        part.replace(file)
-    except OSError as error:
-        raise OutputError(f"Cannot write {str(file)!r}: {error.strerror or error}.") from error
+    write_picture(file, figure, dpi=110)

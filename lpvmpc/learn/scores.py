@@ -18,6 +18,7 @@ from lpvmpc.car.params import VehicleParams
 from lpvmpc.control.stiffness import network
 from lpvmpc.control.stiffness.secant_network import SecantNetwork
 from lpvmpc.errors import OutputError
+from lpvmpc.kit.files import write_picture
 from lpvmpc.learn.dataset import Dataset, samples_of, secant_stiffness
 from lpvmpc.units import Array
 
@@ -187,8 +188,4 @@ def draw(folder: Path, trained: Trained, data: Dataset, car: VehicleParams) -> N
         right.grid(alpha=0.3)
     for figure, name in ((curve, "learning-curve.png"), (answer, "prediction.png")):
         FigureCanvasAgg(figure)
-        try:
-            figure.savefig(folder / name, dpi=110, metadata={"Software": None})
-        except OSError as error:
-            why = error.strerror or error
-            raise OutputError(f"Cannot write {str(folder / name)!r}: {why}.") from error
+        write_picture(folder / name, figure, dpi=110)

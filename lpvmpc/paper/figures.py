@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lpvmpc.errors import OutputError
+from lpvmpc.kit.files import into, write_picture
 from lpvmpc.paper.measurements import Evidence, Row
 from lpvmpc.paper.runs import LMPC, OURS, PLAIN
 from lpvmpc.picture import path_figure
@@ -60,19 +60,14 @@ def save_all(e: Evidence, folder: Path) -> dict[str, Path]:
         OutputError: The folder or a file cannot be written.
     """
     files = {}
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
+    with into(folder):
         for name, (draw, stands) in FIGURES.items():
             file = folder / f"{name}.png"
             if not stands(e):
                 file.unlink(missing_ok=True)  # of an earlier report
                 continue
-            part = file.with_suffix(".part")
-            draw(e).savefig(part, format="png", dpi=DPI, metadata={"Software": None})
-            files[name] = part.replace(file)
-    except OSError as error:
-        why = error.strerror or str(error)
-        raise OutputError(f"Cannot write figures to {str(folder)!r}: {why}.") from error
+            write_picture(file, draw(e), DPI)
+            files[name] = file
     return files
 
 

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lpvmpc.errors import LPVMPCError, OutputError
+from lpvmpc.errors import LPVMPCError
+from lpvmpc.kit.files import into, write_picture, write_text
 from lpvmpc.kit.markdown import markdown_table
 from lpvmpc.picture import path_figure
 from lpvmpc.picture.style import DOUBLE, DPI, RUNS, blank, peak, styled, y_label
@@ -133,15 +134,12 @@ def save_all(runs: Runs, directory: str | FilePath) -> list[FilePath]:
         "errors": errors, "signals": signals, "path": path,
     }  # fmt: skip
     files = []
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
+    with into(directory):
         for name, draw in pictures.items():
             files.append(directory / f"{name}.png")
-            draw(runs).savefig(files[-1], dpi=DPI, metadata={"Software": None})
+            write_picture(files[-1], draw(runs), DPI)
         files.append(directory / "comparison.md")
-        files[-1].write_text(markdown(runs), encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"Cannot write figures to {str(directory)!r}: {error}.") from error
+        write_text(files[-1], markdown(runs))
     return files
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lpvmpc.errors import OutputError
+from lpvmpc.kit.files import into, write_picture
 from lpvmpc.picture import path_figure
 from lpvmpc.picture.style import (
     BLUE,
@@ -74,13 +74,10 @@ def save_all(log: Any, directory: str | FilePath) -> list[FilePath]:
         "computation_time": computation_time, "tires": tires, "gg": gg,
     }
     files = []
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
+    with into(directory):
         for name, draw in figures.items():
             files.append(directory / f"{name}.png")
-            draw(log).savefig(files[-1], dpi=DPI, metadata={"Software": None})
-    except OSError as error:
-        raise OutputError(f"Cannot write figures to {str(directory)!r}: {error}.") from error
+            write_picture(files[-1], draw(log), DPI)
     return files
 
 

@@ -21,10 +21,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from lpvmpc.errors import LPVMPCError, OptionError, described
+from lpvmpc.kit.files import write_json
 from lpvmpc.kit.provenance import versions
 from lpvmpc.plant.mjcf import model_path
 from lpvmpc.road.scenario import RoadFriction, Scenario
-from lpvmpc.sim.log import write_json
 from lpvmpc.sim.loop import simulate
 from lpvmpc.sim.metrics import KEYS, metrics
 from lpvmpc.sim.names import load_controller, load_scenario

@@ -6,9 +6,7 @@ else: the same run gives the same bytes. `timing.parquet` holds the times that t
 
 from __future__ import annotations
 
-import json
 import os
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from lpvmpc.errors import OutputError
 from lpvmpc.interface import FALLBACKS
+from lpvmpc.kit.files import write_table
 from lpvmpc.units import Array
 
 if TYPE_CHECKING:
@@ -139,54 +137,3 @@ class Recorder:
             columns[f"qpos_{i}"] = self.qpos[:n, i].copy()
         timing = {name: self.times[: self.calls, i].copy() for i, name in enumerate(TIMES)}
         return Log(columns, timing, meta, scenario, weights)
-
-
-def write_table(path: Path, columns: Mapping[str, npt.NDArray[Any]], facts: dict[str, Any]) -> None:
-    """Write columns of equal length as Parquet, whole or not at all.
-
-    The bytes depend on the arguments and on pyarrow's version alone: fixed settings, keys of the
-    metadata sorted, no times.
-
-    Raises:
-        OutputError: The file cannot be written.
-    """
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    metadata = {key: json.dumps(facts[key], sort_keys=True) for key in sorted(facts)}
-    table = pa.table({name: pa.array(column) for name, column in columns.items()})
-    part = path.with_name(path.name + ".part")
-    try:
-        pq.write_table(
-            table.replace_schema_metadata(metadata),
-            part,
-            compression="zstd",
-            use_dictionary=False,
-            write_statistics=False,
-        )
-        os.replace(part, path)
-    except OSError as error:
-        raise OutputError(f"Cannot write {str(path)!r}: {error.strerror or error}.") from error
-
-
-def write_json(path: Path, value: object) -> None:
-    """Write a value as JSON, whole or not at all; NaN is refused.
-
-    Raises:
-        OutputError: The file cannot be written.
-    """
-    write_text(path, json.dumps(value, indent=2, allow_nan=False) + "\n")
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a text, whole or not at all.
-
-    Raises:
-        OutputError: The file cannot be written.
-    """
-    part = path.with_name(path.name + ".part")
-    try:
-        part.write_text(text, encoding="utf-8")
-        os.replace(part, path)
-    except OSError as error:
-        raise OutputError(f"Cannot write {str(path)!r}: {error.strerror or error}.") from error

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from lpvmpc.errors import LPVMPCError, OutputError
+from lpvmpc.kit.files import into, write_picture
 from lpvmpc.studies.study import CarUnderTest, Limit, StudyResult, Table, load_study
 
 Progress = Callable[[StudyResult], None]
@@ -118,21 +119,17 @@ def save(result: StudyResult, folder: Path) -> None:
     """
     from lpvmpc.picture.figures import DPI
 
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
+    with into(folder):
         for picture in result.pictures:
             if picture.figure is not None:
                 file = folder / f"{result.study}-{picture.name}.png"
-                picture.figure.savefig(file, dpi=DPI, metadata={"Software": None})
+                write_picture(file, picture.figure, DPI)
         for table in result.tables:
             _write_csv(folder / f"{result.study}-{table.name}.csv", table.header, cells(table))
         for series in result.series:
             columns = [np.asarray(column) for column in series.columns.values()]
             rows = [[cell(x, 7) for x in row] for row in zip(*columns, strict=True)]
             _write_csv(folder / f"{result.study}-{series.name}.csv", list(series.columns), rows)
-    except OSError as error:
-        why = error.strerror or str(error)
-        raise OutputError(f"Cannot write into {str(folder)!r}: {why}.") from error
 
 
 def cell(value: object, digits: int = 4) -> str:

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lpvmpc.errors import OutputError
+from lpvmpc.kit.files import write_json, write_picture, write_text
 from lpvmpc.kit.markdown import markdown_table
 from lpvmpc.kit.provenance import commit, machine, versions
-from lpvmpc.sim.log import write_json
 from lpvmpc.tune.sphere import (
     BAR,
     LOWER,
@@ -194,12 +193,9 @@ def save(study: Study, folder: Path) -> list[Path]:
 
     kinds = ("md", "csv", "json", "png")
     md, table, values, picture = (folder / f"sphere.{kind}" for kind in kinds)
-    try:
-        md.write_text(report(study))
-        table.write_text(as_csv(study))
-        draw(study).savefig(picture, dpi=DPI, metadata={"Software": None})
-    except OSError as error:
-        raise OutputError(f"Cannot write into {str(folder)!r}: {error.strerror}.") from error
+    write_text(md, report(study))
+    write_text(table, as_csv(study))
+    write_picture(picture, draw(study), DPI)
     write_json(values, as_json(study))
     return [md, table, values, picture]
 

@@ -29,8 +29,9 @@ import numpy as np
 from lpvmpc.control.registry import CONTROLLERS
 from lpvmpc.control.weights_file import apply, as_dict
 from lpvmpc.errors import DataError, LPVMPCError, OptionError, UnknownNameError
+from lpvmpc.kit.files import write_json
 from lpvmpc.sim import batch
-from lpvmpc.sim.log import Log, write_json
+from lpvmpc.sim.log import Log
 from lpvmpc.sim.metrics import metrics
 from lpvmpc.sim.names import load_controller
 from lpvmpc.tune import genetic, pso

@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lpvmpc.control.weights_file import write_weights
-from lpvmpc.errors import OutputError
+from lpvmpc.kit.files import write_json, write_picture, write_text
 from lpvmpc.kit.markdown import markdown_table
 from lpvmpc.kit.provenance import commit, machine, versions
-from lpvmpc.sim.log import write_json
 from lpvmpc.tune import tuning
 from lpvmpc.tune.checkpoint import Result
 from lpvmpc.tune.tuning import Stage, Tuned
@@ -109,12 +108,9 @@ def save(
         "lpvmpc": versions()["lpvmpc"],
     }
     write_weights(weights, task.controller, tuned.weights, record)
-    try:
-        md.write_text(report(tuned, before, after))
-        table.write_text(as_csv(tuned))
-        draw(tuned).savefig(picture, dpi=DPI, metadata={"Software": None})
-    except OSError as error:
-        raise OutputError(f"Cannot write into {str(folder)!r}: {error.strerror}.") from error
+    write_text(md, report(tuned, before, after))
+    write_text(table, as_csv(tuned))
+    write_picture(picture, draw(tuned), DPI)
     write_json(values, as_json(tuned, before, after))
     return [weights, md, values, table, picture]
 

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lpvmpc.errors import DataError, OptionError, OutputError, RenderError
+from lpvmpc.kit.files import into, whole
 
 if TYPE_CHECKING:
     import av.container
@@ -150,18 +151,14 @@ def moving_picture(video: str | FilePath, path: str | FilePath, *, start: float 
     pictures = list(_cut(FilePath(video), start, seconds, width, fps))
     if not pictures:
         raise DataError(f"{str(video)!r} has no pictures from {start:g} s on.")
-    part = path.with_name(f".{path.stem}.part.webp")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    with into(path.parent), whole(path) as part:
         for quality in range(80, 0, -10):
             _write_webp(part, pictures, fps, quality)
             if part.stat().st_size <= limit:
-                os.replace(part, path)
-                return path
-        part.unlink()
-    except OSError as error:
-        raise OutputError(f"Cannot write {str(path)!r}: {error.strerror or error}.") from error
-    raise OptionError("limit", limit, "more bytes than the lowest quality needs")
+                break
+        else:
+            raise OptionError("limit", limit, "more bytes than the lowest quality needs")
+    return path
 
 
 def _cut(video: FilePath, start: float, seconds: float, width: int, fps: int) -> Iterator[Any]:

@@ -1,0 +1,125 @@
+"""Files that are whole or not there: written beside their place, and renamed when complete."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lpvmpc.errors import LPVMPCError, OutputError
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+    from matplotlib.figure import Figure
+
+
+@contextmanager
+def whole(file: str | os.PathLike[str]) -> Iterator[Path]:
+    """Where to write a file that shall appear under its name only when it is whole.
+
+        with whole("trace.parquet") as part:
+            part.write_bytes(...)
+
+    Args:
+        file: The file's name; its folder must be there, an older file of that name is replaced.
+
+    Yields:
+        A name beside it, ending in `.part`. If the body raises, what it wrote there is removed.
+
+    Raises:
+        OutputError: The file cannot be written: an OSError of the body, or of the renaming.
+    """
+    path = Path(file)
+    # the process in the name: one that was told to stop may still be writing the same file
+    part = path.with_name(f"{path.name}.{os.getpid()}.part")
+    try:
+        yield part
+        os.replace(part, path)
+    except LPVMPCError:
+        raise
+    except OSError as error:
+        raise OutputError(f"Cannot write {str(path)!r}: {error.strerror or error}.") from error
+    finally:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+
+
+@contextmanager
+def into(folder: str | os.PathLike[str]) -> Iterator[Path]:
+    """A folder to write files into, made where it is missing.
+
+    Raises:
+        OutputError: It cannot be made, or an OSError of the body.
+    """
+    path = Path(folder)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        yield path
+    except LPVMPCError:
+        raise
+    except OSError as error:
+        raise OutputError(f"Cannot write into {str(path)!r}: {error.strerror or error}.") from error
+
+
+def write_text(file: str | os.PathLike[str], text: str) -> None:
+    """Write a text in UTF-8, whole or not at all.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    with whole(file) as part:
+        part.write_text(text, encoding="utf-8", newline="")
+
+
+def write_json(file: str | os.PathLike[str], value: object) -> None:
+    """Write a value as JSON, whole or not at all.
+
+    Raises:
+        ValueError: A number is not finite, which JSON does not have.
+        OutputError: The file cannot be written.
+    """
+    write_text(file, json.dumps(value, indent=2, allow_nan=False) + "\n")
+
+
+def write_picture(file: str | os.PathLike[str], figure: Figure, dpi: int) -> None:
+    """Write a figure as PNG, whole or not at all, without the version of what drew it.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    with whole(file) as part:
+        figure.savefig(part, format="png", dpi=dpi, metadata={"Software": None})
+
+
+def write_table(
+    file: str | os.PathLike[str], columns: Mapping[str, npt.NDArray[Any]], facts: Mapping[str, Any]
+) -> None:
+    """Write columns of equal length as Parquet, whole or not at all.
+
+    The bytes depend on the arguments and on pyarrow's version alone: fixed settings, keys of the
+    metadata sorted, no times.
+
+    Args:
+        file: The file.
+        columns: Arrays of shape (n,) by name; the names carry the units.
+        facts: Metadata: values that JSON has, by name.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    metadata = {key: json.dumps(facts[key], sort_keys=True) for key in sorted(facts)}
+    table = pa.table({name: pa.array(column) for name, column in columns.items()})
+    with whole(file) as part:
+        pq.write_table(
+            table.replace_schema_metadata(metadata),
+            part,
+            compression="zstd",
+            use_dictionary=False,
+            write_statistics=False,
+        )
