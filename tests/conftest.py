@@ -1,4 +1,4 @@
-import importlib
+import importlib.util
 import signal
 import sys
 from pathlib import Path
@@ -8,9 +8,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from lpvmpc.interface import State
+from lpvmpc.interface import Command, State
 from lpvmpc.kit import cli
-from lpvmpc.plant.plant import Wheels
+from lpvmpc.plant.deviations import NOMINAL
+from lpvmpc.plant.outputs import Wheels
 from lpvmpc.road.path import Path as Road
 from lpvmpc.road.scenario import Scenario
 from lpvmpc.road.speed_profile import SpeedProfile
@@ -44,18 +45,23 @@ def plant():
 
 
 @pytest.fixture(scope="module")
-def command(request):
-    """The module of the command that a test module names as COMMAND."""
-    return importlib.import_module(f"lpvmpc.commands.{request.module.COMMAND}")
+def script(request):
+    """The script that a test module names as SCRIPT, as a module."""
+    path = request.module.SCRIPT
+    spec = importlib.util.spec_from_file_location(f"{path.stem}_script", path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
 
 
 @pytest.fixture
-def run(command, tmp_path, monkeypatch, capsys):
-    """Runs the command in an empty folder: (exit code, stdout, stderr)."""
+def run(script, tmp_path, monkeypatch, capsys):
+    """Runs the script in an empty folder: (exit code, stdout, stderr)."""
     monkeypatch.chdir(tmp_path)
 
     def call(*arguments):
-        code = cli.run(command.Options, command.main, [str(a) for a in arguments])
+        code = cli.run(script.Options, script.main, [str(a) for a in arguments])
         output = capsys.readouterr()
         return code, output.out, output.err
 
@@ -67,13 +73,14 @@ class PointPlant:
 
     Ts = 0.033
     params = SimpleNamespace(lf=1.2, lr=1.6)
-    model = mujoco.MjModel.from_xml_string("<mujoco/>")
+    nominal_model = mujoco.MjModel.from_xml_string("<mujoco/>")
+    held = Command(0.0, 0.0)
+    latency, deviations = 0.0, NOMINAL
     roll = 0.0
     rolled_over = False
 
     def __init__(self):
         self.friction = np.ones(4)
-        self.data = SimpleNamespace(ctrl=np.zeros(4))
         self.commands = []
         self.x = self.y = self.psi = self.vx = 0.0
 

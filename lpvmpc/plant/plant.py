@@ -6,7 +6,6 @@ import copy
 import math
 from collections.abc import Sequence
 from pathlib import Path as FilePath
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -16,8 +15,11 @@ from lpvmpc.car.params import VehicleParams
 from lpvmpc.errors import LPVMPCError, OptionError
 from lpvmpc.interface import AxleForces, Command, State
 from lpvmpc.plant import callbacks
+from lpvmpc.plant.actuation import MAX_LATENCY, Actuation
+from lpvmpc.plant.deviations import NOMINAL, Deviations, deviated
 from lpvmpc.plant.mjcf import check_model, compile_model, parameters
 from lpvmpc.plant.motion import PSI, ROLL, VX, VY, R, X, Y, mass_layout, planar_motion
+from lpvmpc.plant.outputs import Wheels, axles_of, wheels_of
 from lpvmpc.plant.rollout import (
     DRIVE,
     FRICTION,
@@ -31,30 +33,10 @@ from lpvmpc.plant.rollout import (
     friction_scale,
     rollout,
 )
-from lpvmpc.plant.trim import place, settle
+from lpvmpc.plant.trim import gravity, place, settle
 from lpvmpc.units import Array
 
 INTEGRATION_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
-
-
-class Wheels(NamedTuple):
-    """What the tires do, wheels fl, fr, rl, rr; each an array of shape (4,).
-
-    It belongs to the beginning of the last physics step, one time step ago.
-    """
-
-    Fx: Array
-    """Force along the wheel's heading [N]."""
-    Fy: Array
-    """Force to the wheel's left [N]."""
-    Fz: Array
-    """Load [N]."""
-    slip_ratio: Array
-    """Longitudinal slip after relaxation [-], positive drives."""
-    slip_angle: Array
-    """Slip angle after relaxation [rad], positive gives a force to the left."""
-    mu: Array
-    """Peak friction of tire and road at the load [-]."""
 
 
 class Plant:
@@ -106,6 +88,14 @@ class Plant:
             )
         self.Ts = Ts
         self.params: VehicleParams = parameters(self.model)
+        """The nominal car, which a controller may know; `deviations` do not change it."""
+        self.nominal_model = self.model
+        self._deviations, self._actual = NOMINAL, self.params
+        self._latency = 0
+        self._actuation: Actuation | None = None
+        self._tilt = 0.0, 0.0
+        self.held = Command(0.0, 0.0)
+        """The command that holds the state in which the car was reset."""
         self.data = mujoco.MjData(self.model)
         self._layout = mass_layout(self.model)
         self._motion: Array = np.zeros(8)
@@ -123,6 +113,76 @@ class Plant:
     @friction.setter
     def friction(self, scale: float | npt.ArrayLike) -> None:
         self.data.userdata[FRICTION] = friction_scale(scale, (4,)) - 1.0
+
+    @property
+    def deviations(self) -> Deviations:
+        """How the car differs from the nominal one, `params`; set it before `reset`.
+
+        Raises:
+            OptionError: The car could not be driven.
+        """
+        return self._deviations
+
+    @deviations.setter
+    def deviations(self, deviations: Deviations) -> None:
+        nominal = deviations == NOMINAL
+        self.model = self.nominal_model if nominal else deviated(self.nominal_model, deviations)
+        self._actual = self.params if nominal else parameters(self.model)
+        self._deviations, self._layout = deviations, mass_layout(self.model)
+        self._connect()
+
+    @property
+    def latency(self) -> float:
+        """Time after which a command reaches the car [s], 0 to `MAX_LATENCY`; set before `reset`.
+
+        Raises:
+            OptionError: No such time, or none that is a whole number of physics steps.
+        """
+        return self._latency * float(self.model.opt.timestep)
+
+    @latency.setter
+    def latency(self, seconds: float) -> None:
+        dt = self.model.opt.timestep
+        number = isinstance(seconds, int | float) and 0.0 <= seconds <= MAX_LATENCY
+        if not number or abs(seconds / dt - round(seconds / dt)) > 1e-6:
+            raise OptionError(
+                "latency", seconds, f"0 to {MAX_LATENCY:g} s in whole physics steps of {dt:g} s"
+            )
+        self._latency = round(seconds / dt)
+        self._connect()
+
+    def _connect(self) -> None:
+        """Put between command and car what the car needs there; nothing where it is nominal."""
+        if self._deviations == NOMINAL and not self._latency:
+            self._actuation = None
+            return
+        told, real = self.params, self._actual  # the drive turns acceleration into torque
+        gain = told.R_w * told.m_eff / (real.R_w * real.m_eff)
+        self._actuation = Actuation(self._deviations, gain, self._latency)
+
+    def tilt(self, grade: float = 0.0, bank: float = 0.0, psi: float = 0.0) -> None:
+        """Tilt the road under the car: gravity gets a part along it.
+
+        g (-grade, bank, -1) / sqrt(1 + grade^2 + bank^2) in the road's axes
+
+        The road stays the plane z = 0, and gravity turns instead. That neglects that a change of
+        slope bends the road: no load of crests and dips, no turn of the car with its plane.
+
+        Args:
+            grade: Rise per length in the direction psi [-].
+            bank: Fall per length to its left [-].
+            psi: Direction of the road [rad].
+
+        Raises:
+            OptionError: A slope beyond +-0.5.
+        """
+        for name, value in (("grade", grade), ("bank", bank)):
+            if not abs(value) <= 0.5:
+                raise OptionError(name, value, "a slope from -0.5 to 0.5")
+        self._tilt = grade, bank
+        along, left, down = gravity(grade, bank)
+        c, s = math.cos(psi), math.sin(psi)
+        self.model.opt.gravity[:] = c * along - s * left, s * along + c * left, down
 
     def reset(
         self,
@@ -175,12 +235,20 @@ class Plant:
         if trim:
             c, s = math.cos(psi), math.sin(psi)
             relative = c * wind[0] + s * wind[1], c * wind[1] - s * wind[0]
-            settle(self.model, d, self.params, self._layout, vx, kappa, relative, course=course)
+            settle(
+                self.model, d, self._actual, self._layout, vx, kappa, relative,
+                self._tilt, course=course,
+            )  # fmt: skip
         self._psi = place(d, self._layout, x, y, psi, course)
         d.qpos[list(SPIN_QPOS)] = 0.0  # where the spokes are does not matter
         d.ctrl[WIND_X], d.ctrl[WIND_Y] = wind
         d.qacc_warmstart[:] = 0.0
         d.time = 0.0
+        if self._tilt != (0.0, 0.0):
+            self.tilt(*self._tilt, psi)
+        delta, ax = float(d.ctrl[STEER]), float(d.ctrl[DRIVE])
+        wired = self._actuation
+        self.held = Command(delta, ax) if wired is None else wired.start(delta, ax)
         mujoco.mj_forward(self.model, d)
         return self.state
 
@@ -202,7 +270,11 @@ class Plant:
         ctrl[WIND_X], ctrl[WIND_Y] = wind
         if not np.isfinite(ctrl).all():
             raise LPVMPCError(f"A command or wind is not finite: {command}, wind {tuple(wind)}.")
-        mujoco.mj_step(self.model, self.data, nstep=self.nstep)
+        if self._actuation is None:
+            mujoco.mj_step(self.model, self.data, nstep=self.nstep)
+            return self.state
+        for steps, ctrl[STEER], ctrl[DRIVE] in self._actuation.segments(command, self.nstep):
+            mujoco.mj_step(self.model, self.data, nstep=steps)
         return self.state
 
     # --- outputs ---
@@ -237,28 +309,12 @@ class Plant:
     @property
     def wheels(self) -> Wheels:
         """Forces, slips and friction of the four tires."""
-        u = self.data.userdata
-        c = callbacks
-        starts = (c.FX, c.FY, c.FZ, c.SLIP_RATIO, c.SLIP_ANGLE, c.MU)
-        return Wheels(*(u[i : i + 4].copy() for i in starts))
+        return wheels_of(self.data.userdata)
 
     @property
     def axles(self) -> AxleForces:
         """Forces and slip angles of the two axles."""
-        Fx, Fy, Fz, _, _, mu = self.wheels
-        u = self.data.userdata
-        load = Fz.sum()
-        return AxleForces(
-            Fyf=float(Fy[0] + Fy[1]),
-            Fyr=float(Fy[2] + Fy[3]),
-            Fzf=float(Fz[0] + Fz[1]),
-            Fzr=float(Fz[2] + Fz[3]),
-            alpha_f=float(u[callbacks.ALPHA_F]),
-            alpha_r=float(u[callbacks.ALPHA_R]),
-            Fxf=float(Fx[0] + Fx[1]),
-            Fxr=float(Fx[2] + Fx[3]),
-            mu=float(mu @ Fz / load if load > 0.0 else mu.mean()),
-        )
+        return axles_of(self.data.userdata)
 
     @property
     def qpos(self) -> Array:
@@ -283,12 +339,15 @@ class Plant:
         state = np.empty(mujoco.mj_stateSize(self.model, INTEGRATION_STATE))
         mujoco.mj_getState(self.model, self.data, state, INTEGRATION_STATE)
         state.flags.writeable = False
-        return Snapshot(state, self._psi)
+        pending = None if self._actuation is None else self._actuation.save()
+        return Snapshot(state, self._psi, pending)
 
     def restore(self, snapshot: Snapshot) -> State:
         """Go back to a saved state, exactly."""
         mujoco.mj_setState(self.model, self.data, snapshot.state, INTEGRATION_STATE)
         self._psi = snapshot.psi
+        if self._actuation is not None and snapshot.actuation is not None:
+            self._actuation.restore(snapshot.actuation)
         return self.state
 
     def rollout(
@@ -311,8 +370,13 @@ class Plant:
 
         Raises:
             OptionError: a shape does not fit or a value is not finite.
-            LPVMPCError: a simulation has diverged.
+            LPVMPCError: a simulation has diverged, or the plant has a latency or deviations.
         """
+        if self._actuation is not None:
+            raise LPVMPCError(
+                "Plant.rollout gives commands straight to servo and drive, but this plant has a "
+                "latency or deviations between them; step it instead."
+            )
         return rollout(
             self.model, self.nstep, self._layout, snapshots, commands, wind, friction, threads
         )

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -30,6 +30,8 @@ class Snapshot:
     """MuJoCo's integration state (with ctrl, userdata, warm start), read-only."""
     psi: float
     """Unwrapped heading [rad]."""
+    actuation: Any = None
+    """Commands on their way into the car, where it has a latency or deviations."""
 
 
 class Rollouts(NamedTuple):

@@ -8,7 +8,7 @@ import numpy as np
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.errors import OptionError
 from lpvmpc.plant.motion import PITCH, PSI, ROLL, VX, VY, R, planar_motion
-from lpvmpc.units import Array
+from lpvmpc.units import GRAVITY, Array
 
 PERIOD = 0.01
 """Time between two corrections while the car settles [s]."""
@@ -33,6 +33,7 @@ def settle(
     vx: float,
     kappa: float,
     wind: tuple[float, float],
+    tilt: tuple[float, float] = (0.0, 0.0),
     *,
     course: bool,
 ) -> None:
@@ -51,6 +52,7 @@ def settle(
         vx: longitudinal speed [m/s].
         kappa: curvature of the path of the centre of mass [1/m].
         wind: velocity of the air [m/s] along and to the left of the car's axis.
+        tilt: grade and bank of the road in the same direction; gravity turns with the car.
         course: whether `wind` is rather along and to the left of the car's course.
 
     Raises:
@@ -66,6 +68,7 @@ def settle(
     data.act[0], data.act[1] = delta, ax
     data.qvel[1] = kappa * vx * (car.lr - car.lf * car.m * vx * vx / (L * car.Cr))
     data.qvel[5] = kappa * vx
+    pull, tilted = gravity(*tilt), tilt != (0.0, 0.0)
     now, old = np.zeros(8), np.zeros(8)
     planar_motion(data.qpos, data.qvel, *layout, now)
     error, calm = math.inf, 0
@@ -77,6 +80,9 @@ def settle(
         cos, sin = math.cos(turn), math.sin(turn)
         air = cos * wind[0] - sin * wind[1], sin * wind[0] + cos * wind[1]
         data.ctrl[:4] = delta, ax, *air
+        if tilted:
+            model.opt.gravity[0] = cos * pull[0] - sin * pull[1]
+            model.opt.gravity[1] = sin * pull[0] + cos * pull[1]
         mujoco.mj_step(model, data, nstep=nstep)
         planar_motion(data.qpos, data.qvel, *layout, now)
         if vx >= VX_STANDING:
@@ -99,6 +105,19 @@ def settle(
         raise OptionError(
             "kappa", kappa, f"a curvature that the car can hold at {vx:g} m/s in this wind"
         )
+
+
+def gravity(grade: float, bank: float) -> tuple[float, float, float]:
+    """Gravity along, to the left of, and up from a road of such slopes [m/s2].
+
+    g (-grade, bank, -1) / sqrt(1 + grade^2 + bank^2)
+
+    Args:
+        grade: rise per length ahead [-].
+        bank: fall per length to the left [-].
+    """
+    g = GRAVITY / math.sqrt(1.0 + grade * grade + bank * bank)
+    return -g * grade, g * bank, -g
 
 
 def place(
