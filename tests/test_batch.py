@@ -218,3 +218,14 @@ def test_ctrl_c_ends_at_once_and_keeps_what_was_done(road, cache, jobs):
     process.communicate(timeout=20)  # a lap takes longer than that on a busy machine only
     assert process.returncode == 130
     assert 1 <= len(list(cache.glob("*.json"))) < 11
+
+
+def test_what_nobody_is_told_is_part_of_the_key_and_of_the_run(road):
+    runs = [at(road, 10.0), at(road, 10.0, latency=0.02), at(road, 10.0, deviations={"Cr": 0.8})]
+    assert len({run.key() for run in runs}) == 3
+    results = drive_all(runs)
+    assert len({result["lateral_rmse_m"] for result in results}) == 3
+    # the plant of this process is the nominal one again
+    assert numbers(drive_all(runs[:1])) == numbers(results[:1])
+    with pytest.raises(LPVMPCError, match="Unknown deviation 'weight'"):
+        at(road, 10.0, deviations={"weight": 1.0})

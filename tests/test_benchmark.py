@@ -1,6 +1,7 @@
 import csv
 import dataclasses
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from lpvmpc.bench import report as ablation_report
 from lpvmpc.bench.cases import Case
 from lpvmpc.sim import batch
 
-COMMAND = "benchmark"
+SCRIPT = Path(__file__).parents[1] / "eval" / "benchmark.py"
 OUTPUT = ("benchmark.csv", "benchmark.json", "benchmark.md", "benchmark.png")
 
 

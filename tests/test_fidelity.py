@@ -1,11 +1,12 @@
 import csv
 import json
+from pathlib import Path
 
 import pytest
 
-from lpvmpc.studies.names import STUDIES
+from lpvmpc.studies.study import STUDIES
 
-COMMAND = "fidelity"
+SCRIPT = Path(__file__).parents[1] / "eval" / "fidelity.py"
 
 
 def test_one_study_end_to_end(run, tmp_path):

@@ -128,7 +128,7 @@ def test_an_interrupt_keeps_what_was_measured(point_plant, straight):
 
 
 def test_delayed_commands_reach_the_car_later(point_plant, straight):
-    point_plant.data.ctrl[0] = 0.001  # the command of the trimmed start
+    point_plant.held = Command(0.001, 0.0)  # the command of the trimmed start
 
     class Counting(Straight):
         calls = 0

@@ -1,6 +1,7 @@
 import csv
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from lpvmpc.tune import sphere, sphere_report
 from lpvmpc.tune.sphere import OPTIMUM, Runs, Study
 
-COMMAND = "tune"
+SCRIPT = Path(__file__).parents[1] / "eval" / "tune.py"
 
 
 @pytest.fixture(scope="module")

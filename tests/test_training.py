@@ -4,6 +4,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ torch = pytest.importorskip("torch")
 from lpvmpc.learn import train as training  # noqa: E402  (needs torch)
 from lpvmpc.learn.train import Job, preset, splits, train  # noqa: E402
 
-COMMAND = "train"
+SCRIPT = Path(__file__).parents[1] / "data_gen" / "train.py"
 
 
 @pytest.fixture(scope="session")
@@ -305,7 +306,7 @@ def test_a_missing_torch_is_one_sentence(run, file, monkeypatch):
 
 def test_ctrl_c_leaves_a_checkpoint_to_resume(file, tmp_path):
     process = subprocess.Popen(
-        [sys.executable, "-m", "lpvmpc", "train", "--data", str(file), "--out", "w.safetensors",
+        [sys.executable, str(SCRIPT), "--data", str(file), "--out", "w.safetensors",
          "--epochs", "5000", "--seeds", "1"],
         cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip

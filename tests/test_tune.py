@@ -1,4 +1,5 @@
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -6,7 +7,7 @@ import pytest
 from lpvmpc.control import weights_file
 from lpvmpc.tune import tuning
 
-COMMAND = "tune"
+SCRIPT = Path(__file__).parents[1] / "eval" / "tune.py"
 SMALL = ("--generations", 2, "--population", 4, "--jobs", 1, "--controller", "pure-pursuit")
 
 

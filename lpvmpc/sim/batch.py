@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from lpvmpc.errors import LPVMPCError, OptionError, described
 from lpvmpc.kit.files import write_json
 from lpvmpc.kit.provenance import versions
+from lpvmpc.plant import deviations
 from lpvmpc.plant.mjcf import model_path
 from lpvmpc.road.scenario import RoadFriction, Scenario
 from lpvmpc.sim.loop import simulate
@@ -38,7 +39,7 @@ BACKENDS = ("local", "ray")
 
 FOUNDATION = (
     "units.py", "errors.py", "interface.py", "car/**/*", "plant/**/*", "road/**/*", "control/**/*",
-    "sensing/**/*", "sim/**/*",
+    "sim/**/*",
 )  # fmt: skip
 """What a closed loop stands on, by the import contract: a change there makes kept results void."""
 DIED = (
@@ -71,6 +72,10 @@ class Run:
     delay: int = 0
     """Periods after which a command reaches the car; what the controller is told of it is among
     its options."""
+    latency: float = 0.0
+    """Time that passes besides before a command reaches the car [s]; nobody is told."""
+    deviations: Mapping[str, float] = field(default_factory=dict)
+    """How the car differs from the one that the controller knows; fields of `Deviations`."""
     seed: int = 0
     """Seed of the generator given to the controller."""
 
@@ -84,6 +89,7 @@ class Run:
         values = [value for _, value in self.road] if isinstance(self.road, tuple) else [self.road]
         if not values or not all(0.05 <= value <= 4.0 for value in values):
             raise OptionError("road of a run", self.road, "friction factors from 0.05 to 4")
+        deviations.named(self.deviations)
 
     def __hash__(self) -> int:
         return hash(self._text())
@@ -155,6 +161,8 @@ def drive(run: Run) -> Log:
         scenario_of(run),
         seed=run.seed,
         delay=run.delay,
+        latency=run.latency,
+        deviations=deviations.named(run.deviations),
         name=run.controller,
         options={"road": run.road},
     )

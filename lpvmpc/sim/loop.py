@@ -29,7 +29,8 @@ from lpvmpc.interface import (
     told_by,
 )
 from lpvmpc.kit.provenance import model_sha256, versions
-from lpvmpc.plant.plant import DRIVE, STEER, Plant
+from lpvmpc.plant.deviations import Deviations
+from lpvmpc.plant.plant import Plant
 from lpvmpc.sim.guard import TimeLimit, checked_command
 from lpvmpc.sim.log import Log, Recorder
 
@@ -60,6 +61,8 @@ def simulate(
     *,
     seed: int = 0,
     delay: int = 0,
+    latency: float = 0.0,
+    deviations: Deviations | None = None,
     step_timeout: float | None = None,
     progress: Progress | None = None,
     name: str | None = None,
@@ -78,6 +81,10 @@ def simulate(
         seed: Seed of the generator given to the controller.
         delay: Number of control periods after which a command reaches the car, 0 to `MAX_DELAY`;
             until then it holds the trimmed command.
+        latency: Time that passes besides, in physics steps, before a command reaches the car [s],
+            0 to 0.2. Neither is told to the controller here.
+        deviations: How the car differs from the one that the controller knows (default: the
+            plant's own).
         step_timeout: Longest wall-clock time of one call of the controller [s]; None: no limit.
         progress: Called at every control instant with the driven fraction of the path.
         name: Name of the controller in results (default: its attribute `name`, else its class).
@@ -102,6 +109,10 @@ def simulate(
         raise OptionError("controller Ts", about.Ts, f"the plant's, {Ts} s")
     if name:
         about = replace(about, name=name)
+    before = plant.latency, plant.deviations
+    plant.latency = latency
+    if deviations is not None:
+        plant.deviations = deviations
     loop = _Loop(plant, controller, scenario, about, delay, step_timeout)
     wall = time.perf_counter()
     try:
@@ -111,9 +122,12 @@ def simulate(
         reason = "interrupted"
     finally:
         plant.friction = loop.grip
+        meant = {"latency_s": plant.latency, "deviations": plant.deviations.record()}
+        plant.latency, plant.deviations = before
     wall = time.perf_counter() - wall
     meta = loop.meta(reason, wall)
-    meta.update(seed=seed, options={"delay": delay, **(options or {})})
+    told = {"delay": delay, **{name: value for name, value in meant.items() if value}}
+    meta.update(seed=seed, options={**told, **(options or {})})
     return loop.recorder.log(meta, scenario, about.weights)
 
 
@@ -148,7 +162,7 @@ class _Loop:
         path, Ts, length = scenario.path, plant.Ts, scenario.path.length
         state = self._start()
         self.limit.call("reset", 0.0, controller.reset, np.random.default_rng(seed))
-        held = Command(float(plant.data.ctrl[STEER]), float(plant.data.ctrl[DRIVE]))
+        held = plant.held
         queue = deque([held] * self.delay)
         oracle = oracle_of(controller)
         s, stuck, k = 0.0, 0, 0
@@ -208,7 +222,7 @@ class _Loop:
             "wall_s": wall_s,
             "realtime_factor": self.duration / wall_s,
             "versions": versions(),
-            "model_sha256": model_sha256(self.plant.model),
+            "model_sha256": model_sha256(self.plant.nominal_model),
         }
 
     def _start(self) -> State:

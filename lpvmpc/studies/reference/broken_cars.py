@@ -1,11 +1,12 @@
 """Cars broken on purpose, to see which studies notice.
 
 A study that passes every car says nothing. Each of these has one error of the kind that slips into
-vehicle models; `tests/test_studies.py` demands that the studies find it.
+vehicle models; `tests/test_broken_cars.py` demands that the studies find it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -18,7 +19,6 @@ from lpvmpc.interface import Command, State
 from lpvmpc.plant.mjcf import WHEELS, model_path
 from lpvmpc.plant.plant import Plant
 from lpvmpc.plant.rollout import DRIVE, STEER, WIND_X, WIND_Y
-from lpvmpc.studies.names import BROKEN
 from lpvmpc.studies.study import CarUnderTest
 from lpvmpc.units import Array
 
@@ -30,15 +30,14 @@ def break_car(name: str) -> CarUnderTest:
     """A car with one error; its expectations are those of the sound one.
 
     Args:
-        name: One of `names.BROKEN`.
+        name: One of `BROKEN`.
 
     Raises:
         UnknownNameError: There is no such error; the message lists those there are.
     """
     if name not in BROKEN:
         raise UnknownNameError("broken car", name, BROKEN)
-    broken: CarUnderTest = globals()[name.replace("-", "_")](CarUnderTest.packaged())
-    return broken
+    return BROKEN[name](CarUnderTest.packaged())
 
 
 class WrongTrail(Plant):
@@ -84,21 +83,18 @@ class LateForces(Plant):
         return self.state
 
 
-def wrong_trail(car: CarUnderTest) -> CarUnderTest:
-    """Turn the sign of the pneumatic trail."""
+def _wrong_trail(car: CarUnderTest) -> CarUnderTest:
     return replace(car, plant_class=WrongTrail)
 
 
-def double_friction(car: CarUnderTest) -> CarUnderTest:
-    """Double the friction of the tires."""
+def _double_friction(car: CarUnderTest) -> CarUnderTest:
     for axle in "fr":
         for name in (tire.PDX1, tire.PDX2, tire.PDY1, tire.PDY2):
             car.model.numeric(f"tire_{axle}").data[name] *= 2.0
     return car
 
 
-def narrow_track(car: CarUnderTest) -> CarUnderTest:
-    """Make the track narrower by a tenth."""
+def _narrow_track(car: CarUnderTest) -> CarUnderTest:
     spec = mujoco.MjSpec.from_file(str(model_path("vehicle")))
     spec.compiler.discardvisual = True
     for wheel in WHEELS:
@@ -106,6 +102,15 @@ def narrow_track(car: CarUnderTest) -> CarUnderTest:
     return replace(car, model=spec.compile())
 
 
-def late_forces(car: CarUnderTest) -> CarUnderTest:
-    """Delay the tires' forces by one physics step."""
+def _late_forces(car: CarUnderTest) -> CarUnderTest:
     return replace(car, plant_class=LateForces)
+
+
+BROKEN: dict[str, Callable[[CarUnderTest], CarUnderTest]] = {
+    "wrong-trail": _wrong_trail,
+    "double-friction": _double_friction,
+    "narrow-track": _narrow_track,
+    "late-forces": _late_forces,
+}
+"""The broken cars by name: sign of the pneumatic trail, tire friction doubled, track narrower by a
+tenth, tire forces one physics step late."""

@@ -1,1 +1,0 @@
-"""What the car measures of itself, and the estimator between sensors and controller."""
