@@ -20,8 +20,9 @@ if TYPE_CHECKING:
     from lpvmpc.errors import LPVMPCError
     from lpvmpc.interface import Command, Preview, State
     from lpvmpc.plant.plant import Plant
+    from lpvmpc.road.names import SCENARIOS
     from lpvmpc.road.path import Path
-    from lpvmpc.road.scenario import SCENARIOS, Scenario
+    from lpvmpc.road.scenario import Scenario
     from lpvmpc.road.speed_profile import SpeedProfile
     from lpvmpc.road.wind import Wind
     from lpvmpc.sim.loop import Log, simulate
@@ -37,7 +38,7 @@ _HOME = {
     "Path": "road.path",
     "Plant": "plant.plant",
     "Preview": "interface",
-    "SCENARIOS": "road.scenario",
+    "SCENARIOS": "road.names",
     "Scenario": "road.scenario",
     "SpeedProfile": "road.speed_profile",
     "State": "interface",

@@ -49,6 +49,10 @@ class ControllerError(LPVMPCError, RuntimeError):
     """A controller does not import, raises, hangs or returns something that is no command."""
 
 
+class EstimatorError(LPVMPCError, RuntimeError):
+    """An estimator does not import, raises or returns something that is no state."""
+
+
 class RenderError(LPVMPCError, RuntimeError):
     """Pictures cannot be made on this machine."""
 

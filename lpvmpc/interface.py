@@ -44,6 +44,33 @@ class State(NamedTuple):
     """Spin of the wheels fl, fr, rl, rr [rad/s], shape (4,)."""
 
 
+class Measurement(NamedTuple):
+    """What the sensors say at one control instant; frame and signs are those of `State`."""
+
+    x: float
+    """Position of the centre of mass [m]; NaN where there is no new sample of the pose."""
+    y: float
+    """The same [m]."""
+    psi: float
+    """Heading [rad], unwrapped; NaN where there is no new sample, or none is ever taken."""
+    pose_age: float
+    """Time since the pose was taken [s]; NaN where there is no new sample."""
+    vx: float
+    """Longitudinal speed [m/s]; NaN where it is not measured."""
+    vy: float
+    """Lateral speed [m/s]; NaN where it is not measured, as in every series car."""
+    r: float
+    """Yaw rate [rad/s]."""
+    ax: float
+    """Longitudinal acceleration of the centre of mass [m/s2], gravity excluded."""
+    ay: float
+    """Lateral acceleration of the centre of mass [m/s2], gravity excluded."""
+    delta: float
+    """Road-wheel angle of the equivalent single track [rad]."""
+    wheel_speed: Array
+    """Spin of the wheels fl, fr, rl, rr [rad/s], shape (4,); NaN where it is not measured."""
+
+
 class Command(NamedTuple):
     """What a controller asks of the car for one control period."""
 
@@ -147,6 +174,34 @@ class Controller(Protocol):
 
     def command(self, state: State, preview: Preview) -> Command:
         """Steering angle [rad] and acceleration [m/s2] for the coming control period."""
+
+
+class Estimator(Protocol):
+    """What stands between sensors and controller: measurements in, the state at this instant out.
+
+    Two attributes are optional: `events` (int), how often it diverged and was reset in this run,
+    and `unknowns` (dict of float), the slow unknowns it has found and their standard deviations.
+    """
+
+    def reset(self, first: State, rng: np.random.Generator) -> None:
+        """Forget the last run and start from a known state.
+
+        Args:
+            first: State at the first control instant, as it is on the start line.
+            rng: The only source of randomness an estimator may use.
+        """
+
+    def update(self, measured: Measurement, command: Command) -> State:
+        """The state now, from what was measured now; called once at every control instant.
+
+        The first call after `reset` belongs to the instant of its first state, each further one
+        lies one control period later.
+
+        Args:
+            measured: What the sensors say at this instant.
+            command: The command sent for the period that just ended; latency may keep it from
+                the car, so the measured steering angle is the better witness.
+        """
 
 
 @dataclass(frozen=True, kw_only=True)

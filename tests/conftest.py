@@ -1,4 +1,4 @@
-import importlib.util
+import importlib
 import signal
 import sys
 from pathlib import Path
@@ -45,23 +45,18 @@ def plant():
 
 
 @pytest.fixture(scope="module")
-def script(request):
-    """The script that a test module names as SCRIPT, as a module."""
-    path = request.module.SCRIPT
-    spec = importlib.util.spec_from_file_location(f"{path.stem}_script", path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+def command(request):
+    """The module of the command that a test module names as COMMAND."""
+    return importlib.import_module(f"lpvmpc.commands.{request.module.COMMAND}")
 
 
 @pytest.fixture
-def run(script, tmp_path, monkeypatch, capsys):
-    """Runs the script in an empty folder: (exit code, stdout, stderr)."""
+def run(command, tmp_path, monkeypatch, capsys):
+    """Runs the command in an empty folder: (exit code, stdout, stderr)."""
     monkeypatch.chdir(tmp_path)
 
     def call(*arguments):
-        code = cli.run(script.Options, script.main, [str(a) for a in arguments])
+        code = cli.run(command.Options, command.main, [str(a) for a in arguments])
         output = capsys.readouterr()
         return code, output.out, output.err
 

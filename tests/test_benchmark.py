@@ -1,7 +1,6 @@
 import csv
 import dataclasses
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from lpvmpc.bench import report as ablation_report
 from lpvmpc.bench.cases import Case
 from lpvmpc.sim import batch
 
-SCRIPT = Path(__file__).parents[1] / "eval" / "benchmark.py"
+COMMAND = "benchmark"
 OUTPUT = ("benchmark.csv", "benchmark.json", "benchmark.md", "benchmark.png")
 
 

@@ -14,7 +14,7 @@ from lpvmpc.learn import collect as collection
 from lpvmpc.learn import coverage, dataset
 from lpvmpc.learn.collect import Plan, collect
 
-SCRIPT = Path(__file__).parents[1] / "data_gen" / "collect.py"
+COMMAND = "collect"
 
 
 @pytest.fixture
@@ -102,7 +102,7 @@ def test_shards_that_are_damaged_or_of_another_plan_are_driven_again(tmp_path, s
 
 
 def test_a_killed_collection_resumes_to_the_same_bytes(tmp_path):
-    command = [sys.executable, str(SCRIPT), "--samples", "2400", "--jobs", "2"]
+    command = [sys.executable, "-m", "lpvmpc", "collect", "--samples", "2400", "--jobs", "2"]
     process = subprocess.Popen(
         [*command, "--out", "s.parquet"], cwd=tmp_path,
         stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
@@ -122,7 +122,8 @@ def test_a_killed_collection_resumes_to_the_same_bytes(tmp_path):
 
 def test_ctrl_c_says_how_to_go_on(tmp_path):
     process = subprocess.Popen(
-        [sys.executable, str(SCRIPT), "--samples", "50000", "--jobs", "2", "--out", "s.parquet"],
+        [sys.executable, "-m", "lpvmpc", "collect", "--samples", "50000", "--jobs", "2",
+         "--out", "s.parquet"],
         cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     deadline = time.monotonic() + 240.0

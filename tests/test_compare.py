@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-SCRIPT = Path(__file__).parents[1] / "eval" / "compare.py"
+COMMAND = "compare"
 
 
 @pytest.fixture

@@ -1,12 +1,11 @@
 import csv
 import json
-from pathlib import Path
 
 import pytest
 
-from lpvmpc.studies.study import STUDIES
+from lpvmpc.studies.names import STUDIES
 
-SCRIPT = Path(__file__).parents[1] / "eval" / "fidelity.py"
+COMMAND = "fidelity"
 
 
 def test_one_study_end_to_end(run, tmp_path):

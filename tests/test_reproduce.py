@@ -1,6 +1,5 @@
 import json
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ from lpvmpc.paper import figures, measurements, records, retrain, runs, steering
 from lpvmpc.paper.runs import LMPC, OURS
 from lpvmpc.tune import genetic, sphere
 
-SCRIPT = Path(__file__).parents[1] / "eval" / "reproduce.py"
+COMMAND = "reproduce"
 LINES = {("tuned", OURS), ("tuned", LMPC), ("by hand", OURS), ("printed", "as printed"),
          ("corrected", "+ secant"), ("corrected", "+ network")}  # fmt: skip
 
@@ -79,7 +78,7 @@ def test_a_quick_look_says_so_and_leaves_the_report_alone(run, short, tmp_path, 
     assert "Saved runs/reproduce-quick/" in out
 
 
-def test_weights_tuned_anew_and_networks_trained_anew_drive(run, short, script, monkeypatch):
+def test_weights_tuned_anew_and_networks_trained_anew_drive(run, short, monkeypatch):
     by_hand = records.weights_by_hand()
     asked, seen = [], {}
 

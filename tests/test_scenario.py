@@ -8,7 +8,8 @@ from references import ay_peak
 
 from lpvmpc.errors import OptionError, PathError, UnknownNameError
 from lpvmpc.plant.mjcf import packaged_car
-from lpvmpc.road.scenario import SCENARIOS, RoadFriction, list_scenarios
+from lpvmpc.road.names import SCENARIOS
+from lpvmpc.road.scenario import RoadFriction, list_scenarios
 from lpvmpc.sim.names import load_scenario
 
 NAMES = list_scenarios()

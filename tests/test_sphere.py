@@ -1,7 +1,6 @@
 import csv
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +8,7 @@ import pytest
 from lpvmpc.tune import sphere, sphere_report
 from lpvmpc.tune.sphere import OPTIMUM, Runs, Study
 
-SCRIPT = Path(__file__).parents[1] / "eval" / "tune.py"
+COMMAND = "tune"
 
 
 @pytest.fixture(scope="module")

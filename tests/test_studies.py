@@ -10,12 +10,12 @@ from lpvmpc.errors import LPVMPCError, UnknownNameError
 from lpvmpc.plant.mjcf import parameters
 from lpvmpc.plant.plant import Plant
 from lpvmpc.studies import report, runner, straight, transient
+from lpvmpc.studies.names import BROKEN, STUDIES
 from lpvmpc.studies.reference import golden_tire, suspension
-from lpvmpc.studies.reference.broken_cars import BROKEN, break_car
+from lpvmpc.studies.reference.broken_cars import break_car
 from lpvmpc.studies.reference.lateral_model import frequency_response, lateral_model, response
 from lpvmpc.studies.steady_state import Linear, slope_at_zero
 from lpvmpc.studies.study import (
-    STUDIES,
     CarUnderTest,
     Finding,
     Limit,

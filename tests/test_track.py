@@ -1,4 +1,3 @@
-import importlib.util
 import json
 import os
 import signal
@@ -10,22 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lpvmpc.kit import cli
+from lpvmpc.commands import track_table
 from lpvmpc.picture import figures
 from lpvmpc.sim.metrics import KEYS
 
-PERIOD = 0.033
-
-
-@pytest.fixture(scope="module")
-def track():
-    """The script eval/track.py as a module."""
-    script = Path(__file__).parents[1] / "eval" / "track.py"
-    spec = importlib.util.spec_from_file_location("track", script)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["track"] = module
-    spec.loader.exec_module(module)
-    return module
+COMMAND = "track"
 
 
 @pytest.fixture
@@ -37,19 +25,6 @@ def sketch(monkeypatch):
         (folder / "sketch.png").touch()
 
     monkeypatch.setattr(figures, "save_all", save_all)
-
-
-@pytest.fixture
-def run(track, tmp_path, monkeypatch, capsys):
-    """Runs the script in an empty folder: (exit code, stdout, stderr)."""
-    monkeypatch.chdir(tmp_path)
-
-    def call(*arguments):
-        code = cli.run(track.Options, track.main, [str(a) for a in arguments])
-        output = capsys.readouterr()
-        return code, output.out, output.err
-
-    return call
 
 
 @pytest.fixture
@@ -105,8 +80,8 @@ def test_a_users_controller_is_driven_and_judged(run, road, sketch, user_module)
     assert not result["completed"] and result["qp"]["solved"] == 0
 
 
-def test_the_paper_is_beside_the_papers_scenario_only(track):
-    assert track.PAPER["lateral_rmse_m"] == 0.0217
+def test_the_paper_is_beside_the_papers_scenario_only():
+    assert track_table.PAPER["lateral_rmse_m"] == 0.0217
 
 
 def test_a_weights_file_is_driven_and_recorded(run, road, tmp_path, sketch):
@@ -117,7 +92,7 @@ def test_a_weights_file_is_driven_and_recorded(run, road, tmp_path, sketch):
     assert record["clamped_inputs"] == 0 and "outside the trained range" in out
 
 
-def test_a_network_of_another_car_is_a_warning(run, road, track, sketch, monkeypatch):
+def test_a_network_of_another_car_is_a_warning(run, road, sketch, monkeypatch):
     from lpvmpc.plant import mjcf
 
     monkeypatch.setattr(mjcf, "car_sha256", lambda model: "another")

@@ -4,7 +4,6 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,7 +20,7 @@ torch = pytest.importorskip("torch")
 from lpvmpc.learn import train as training  # noqa: E402  (needs torch)
 from lpvmpc.learn.train import Job, preset, splits, train  # noqa: E402
 
-SCRIPT = Path(__file__).parents[1] / "data_gen" / "train.py"
+COMMAND = "train"
 
 
 @pytest.fixture(scope="session")
@@ -306,7 +305,7 @@ def test_a_missing_torch_is_one_sentence(run, file, monkeypatch):
 
 def test_ctrl_c_leaves_a_checkpoint_to_resume(file, tmp_path):
     process = subprocess.Popen(
-        [sys.executable, str(SCRIPT), "--data", str(file), "--out", "w.safetensors",
+        [sys.executable, "-m", "lpvmpc", "train", "--data", str(file), "--out", "w.safetensors",
          "--epochs", "5000", "--seeds", "1"],
         cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip

@@ -1,5 +1,4 @@
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -7,7 +6,7 @@ import pytest
 from lpvmpc.control import weights_file
 from lpvmpc.tune import tuning
 
-SCRIPT = Path(__file__).parents[1] / "eval" / "tune.py"
+COMMAND = "tune"
 SMALL = ("--generations", 2, "--population", 4, "--jobs", 1, "--controller", "pure-pursuit")
 
 

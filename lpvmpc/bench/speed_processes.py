@@ -34,16 +34,15 @@ class Probe(LPVMPC):
 """A user's controller that says when it is called for the second time."""
 
 
-def measure_start(track: Path, rounds: int = 5) -> list[Figure]:
-    """Wall time of `track.py --help`, and from its start to the end of the first control period.
+def measure_start(rounds: int = 5) -> list[Figure]:
+    """Wall time of `lpvmpc track --help`, and from a start to the end of the first period.
 
     Compiled code is cached: one start that is not counted sees to that.
 
     Args:
-        track: The script eval/track.py.
         rounds: Number of rounds.
     """
-    script = [sys.executable, str(track.resolve())]
+    script = [sys.executable, "-m", "lpvmpc", "track"]
     help_s, help_cpu, first_s, first_cpu = [], [], [], []
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "probe.py").write_text(PROBE)
@@ -59,9 +58,9 @@ def measure_start(track: Path, rounds: int = 5) -> list[Figure]:
                 first_s.append(float(answer.stdout.split()[-1]) - helped)
                 first_cpu.append(children_cpu() - cpu_helped)
     return [
-        Figure(key="help_s", text="track.py --help", unit="s", rounds=tuple(help_s), limit=1.5),
+        Figure(key="help_s", text="lpvmpc track --help", unit="s", rounds=tuple(help_s), limit=1.5),
         Figure(key="help_cpu_s", text="the same, CPU time", unit="s", rounds=tuple(help_cpu)),
-        Figure(key="first_step_s", text="track.py, start to first physics step", unit="s",
+        Figure(key="first_step_s", text="lpvmpc track, start to first physics step", unit="s",
                rounds=tuple(first_s), limit=4.0),
         Figure(key="first_step_cpu_s", text="the same, CPU time", unit="s",
                rounds=tuple(first_cpu)),

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from lpvmpc.errors import OptionError, UnknownNameError
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # the help of a command lists the names, and must not wait for numba
     from lpvmpc.car.params import VehicleParams
     from lpvmpc.control.stiffness.models import StiffnessModel
     from lpvmpc.interface import Controller

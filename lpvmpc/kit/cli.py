@@ -9,7 +9,7 @@ import os
 import re
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from ctypes.util import find_library
 from itertools import groupby
 from pathlib import Path
@@ -95,6 +95,17 @@ def check_number(name: str, value: float | None, low: float, high: float, unit: 
     """
     if value is not None and not (math.isfinite(value) and low <= value <= high):
         raise OptionError(name, value, f"from {low:g} to {high:g}{unit and ' ' + unit}")
+
+
+def check_choice(name: str, value: str | None, choices: Iterable[str]) -> None:
+    """Refuse a word that is none of the choices; None is fine (the option was not given).
+
+    Raises:
+        OptionError: With the option's name, its value and the choices.
+    """
+    known = list(choices)
+    if value is not None and value not in known:
+        raise OptionError(name, value, f"one of {', '.join(known)}")
 
 
 def cores() -> int:

@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from lpvmpc.road import centreline, segments
-from lpvmpc.road.cones import double_lane_change
+from lpvmpc.road import centreline, cones, segments
 from lpvmpc.road.path import Path
 from lpvmpc.road.wind import Wind
 from lpvmpc.units import Array
@@ -63,7 +62,8 @@ def _paper_wind() -> Wind:
     return Wind(knots=times, speeds=data["wind_mps"])
 
 
-def _paper() -> Road:
+def paper() -> Road:
+    """The road that the paper drives, with its speed and wind."""
     data = _data("paper")
     path = Path.from_curvature(data["kappa_radpm"], data["kappa_ds_m"])
     s = data["vx_ds_m"] * np.arange(len(data["vx_mps"]))
@@ -71,7 +71,8 @@ def _paper() -> Road:
     return Road(path=path, source=data["source"], vx=(s, vx), wind=_paper_wind())
 
 
-def _paper_loop() -> Road:
+def paper_loop() -> Road:
+    """The closed road of the paper's Fig. 8."""
     data = _data("paper")
     path = centreline.fit(data["loop_xy_m"], closed=True).path
     return Road(path=path, source=data["source"], wind=_paper_wind())
@@ -89,7 +90,7 @@ def _own(name: str, **kwargs: Any) -> Callable[[], Road]:
     return build
 
 
-def _double_lane_change() -> Road:
+def double_lane_change() -> Road:
     """ISO 3888-1: lanes of 15, 25 and 30 m, gaps of 30 and 25 m, offset 3.5 m, at constant speed.
 
     The lanes' widths follow from the car's and are larger by 0.4 m and more, so each change may
@@ -105,18 +106,18 @@ def _double_lane_change() -> Road:
     path = segments.from_graph(derivatives, start + 125.0 + 30.0)
     source = "ISO 3888-1 double lane change, through the middle of its lanes."
 
-    def cones(width: float) -> Array:
-        return double_lane_change(width).cones[:, :2] + (start, 0.0)
+    def places(width: float) -> Array:
+        return cones.double_lane_change(width).cones[:, :2] + (start, 0.0)
 
-    return Road(path=path, source=source, v_max=15.0, ay_max=None, constant=True, cones=cones)
+    return Road(path=path, source=source, v_max=15.0, ay_max=None, constant=True, cones=places)
 
 
-def _slalom() -> Road:
+def slalom() -> Road:
     """Eight cones 18 m apart, passed at 1.3 m on alternate sides."""
-    gap, amplitude, first, cones = 18.0, 1.3, 76.0, 8
+    gap, amplitude, first, count = 18.0, 1.3, 76.0, 8
 
     def derivatives(x: Array) -> tuple[Array, Array]:
-        last = first + gap * (cones - 1)
+        last = first + gap * (count - 1)
         rise, d_rise, dd_rise = segments.smooth_step(x, first - 2.0 * gap, first)
         fall, d_fall, dd_fall = segments.smooth_step(x, last, last + 2.0 * gap)
         w, dw, ddw = rise - fall, d_rise - d_fall, dd_rise - dd_fall
@@ -125,16 +126,16 @@ def _slalom() -> Road:
         slope = amplitude * (dw * c - w * k * s)
         return slope, amplitude * (ddw * c - 2.0 * dw * k * s - w * k * k * c)
 
-    path = segments.from_graph(derivatives, first + gap * (cones - 1) + 76.0)
+    path = segments.from_graph(derivatives, first + gap * (count - 1) + 76.0)
     source = "Slalom of our own design: eight cones 18 m apart, passed at 1.3 m, at 10 m/s."
 
     def places(_: float) -> Array:
-        return np.column_stack([first + gap * np.arange(cones), np.zeros(cones)])
+        return np.column_stack([first + gap * np.arange(count), np.zeros(count)])
 
     return Road(path=path, source=source, v_max=10.0, ay_max=None, constant=True, cones=places)
 
 
-def _skidpad() -> Road:
+def skidpad() -> Road:
     """Two laps of a circle of 30 m radius to the right, then two to the left, at one speed."""
     radius, entry, change, laps = 30.0, 25.0, 40.0, 2
     arc = (2.0 * math.pi * laps - 0.5 * entry / radius) * radius
@@ -159,13 +160,12 @@ def _gusts() -> Wind:
     return Wind(knots=t, speeds=speed, period=60.0)
 
 
-CATALOGUE: dict[str, tuple[str, Callable[[], Road]]] = {
-    "paper": ("the paper's 1280 m of curvature, speed and wind", _paper),
-    "paper-loop": ("the closed loop of the paper's Fig. 8 at 4 m/s2, under its wind", _paper_loop),
-    "double-lane-change": ("ISO 3888-1 at 15 m/s", _double_lane_change),
-    "skidpad": ("figure eight of 30 m radius at 75 % of the grip limit", _skidpad),
-    "slalom": ("cones 18 m apart at 10 m/s", _slalom),
-    "circuit": ("closed, 1.9 km: hairpin, chicane, double apex, sweepers", _own("circuit")),
-    "tuning-a": ("closed, 1.0 km, for tuning only", _own("tuning-a")),
-    "tuning-b": ("open, 0.9 km, windy, for tuning only", _own("tuning-b", wind=_gusts())),
-}
+circuit = _own("circuit")
+tuning_a = _own("tuning-a")
+tuning_b = _own("tuning-b", wind=_gusts())
+
+
+def build(name: str) -> Road:
+    """The road of this name, one of `names.SCENARIOS`: what its function makes."""
+    road: Road = globals()[name.replace("-", "_")]()
+    return road

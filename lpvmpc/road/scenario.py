@@ -15,8 +15,9 @@ import numpy as np
 
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.errors import OptionError, PathError, UnknownNameError
-from lpvmpc.road import centreline, track_file
-from lpvmpc.road.catalogue import CATALOGUE, Road
+from lpvmpc.road import catalogue, centreline, track_file
+from lpvmpc.road.catalogue import Road
+from lpvmpc.road.names import SCENARIOS
 from lpvmpc.road.path import Path
 from lpvmpc.road.speed_profile import SpeedProfile, plan
 from lpvmpc.road.wind import Wind
@@ -72,10 +73,6 @@ class Scenario:
         return self.speed.duration
 
 
-SCENARIOS: dict[str, str] = {name: about for name, (about, _) in CATALOGUE.items()}
-"""What there is to drive, by name."""
-
-
 def list_scenarios() -> tuple[str, ...]:
     """Names of the scenarios."""
     return tuple(SCENARIOS)
@@ -117,8 +114,8 @@ def load_scenario(
     """
     _check_options(v_max, ay_max, grip, wind_scale, friction)
     name = str(name_or_csv)
-    if name in CATALOGUE:
-        base = CATALOGUE[name][1]()
+    if name in SCENARIOS:
+        base = catalogue.build(name)
         path = base.path if closed is None else _with_ends(base.path, closed, name)
     elif isinstance(name_or_csv, FilePath) or name.lower().endswith(".csv") or "/" in name:
         base = _from_csv(FilePath(name_or_csv), closed)

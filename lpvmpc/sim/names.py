@@ -1,4 +1,4 @@
-"""Controllers and scenarios by name, for the packaged car where none is given."""
+"""Controllers, estimators and scenarios by name, for the packaged car where none is given."""
 
 from __future__ import annotations
 
@@ -6,21 +6,33 @@ import inspect
 import os
 import sys
 import warnings
+from collections.abc import Callable, Iterable
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lpvmpc.control.registry import make_controller
-from lpvmpc.errors import ControllerError, LPVMPCError, described
-from lpvmpc.interface import Controller
+from lpvmpc.errors import (
+    ControllerError,
+    EstimatorError,
+    LPVMPCError,
+    UnknownNameError,
+    described,
+)
+from lpvmpc.interface import Controller, Estimator
 from lpvmpc.road import scenario
+from lpvmpc.sensing.exact import Exact
 
 if TYPE_CHECKING:
     import mujoco
 
     from lpvmpc.car.params import VehicleParams
     from lpvmpc.control.stiffness.network import Weights
+    from lpvmpc.sensing.sensors import Sensing
     from lpvmpc.units import Array
+
+ESTIMATORS = ("none",)
+"""The package's own estimators."""
 
 
 def load_scenario(
@@ -60,6 +72,50 @@ def load_controller(
     """
     if ":" not in name:
         return make_controller(name, car or _packaged_car(), _coefficients, **options)
+    offered = {
+        "car": lambda: car or _packaged_car(),
+        "delay": lambda: options.get("delay", 0),
+        "weights": lambda: options.get("weights"),
+    }
+    methods = {"reset": "reset(rng)", "command": "command(state, preview)"}
+    return _users(name, "controller", ControllerError, offered, methods)
+
+
+def load_estimator(
+    name: str, *, car: VehicleParams | None = None, sensing: Sensing, Ts: float
+) -> Estimator:
+    """An estimator by name, or a user's class by `module:Class`.
+
+    Args:
+        name: One of `ESTIMATORS`, or `module:Class` where the module is found from the current
+            directory or PYTHONPATH; of `car`, `sensing` and `Ts` the class is given what its
+            constructor asks for by name.
+        car: Parameters of the car, as the controller knows it (default: the packaged one).
+        sensing: The sensors, as their maker describes them; what was drawn is not told.
+        Ts: Control period [s].
+
+    Raises:
+        UnknownNameError: No such name.
+        EstimatorError: The user's class does not import, or is no estimator.
+    """
+    if name == "none":
+        return Exact(car or _packaged_car(), Ts)
+    if ":" not in name:
+        raise UnknownNameError("estimator", name, [*ESTIMATORS, "module:Class"])
+    offered = {"car": lambda: car or _packaged_car(), "sensing": lambda: sensing, "Ts": lambda: Ts}
+    methods = {"reset": "reset(first, rng)", "update": "update(measured, command)"}
+    return _users(name, "estimator", EstimatorError, offered, methods)
+
+
+def _users(
+    name: str,
+    kind: str,
+    error_class: type[LPVMPCError],
+    offered: dict[str, Callable[[], Any]],
+    methods: dict[str, str],
+) -> Any:
+    """An object of a user's class, given of what is offered that which its constructor names."""
+    Kind = kind.capitalize()
     module_name, _, class_name = name.partition(":")
     if os.getcwd() not in sys.path:  # a script has its own folder there, not the current one
         sys.path.insert(0, os.getcwd())
@@ -70,43 +126,34 @@ def load_controller(
             why = "there is no such module in the current directory or PYTHONPATH"
         else:
             why = described(error)
-        raise ControllerError(f"Controller {name!r} cannot be imported: {why}.") from error
+        raise error_class(f"{Kind} {name!r} cannot be imported: {why}.") from error
     maker = getattr(module, class_name, None)
     if not callable(maker):
         classes = sorted(k for k, v in vars(module).items() if isinstance(v, type) and k[0] != "_")
-        raise ControllerError(
-            f"Controller {name!r} does not exist: module {module_name!r} has no class "
+        raise error_class(
+            f"{Kind} {name!r} does not exist: module {module_name!r} has no class "
             f"{class_name!r}; it has {', '.join(classes) or 'none'}."
         )
     try:
-        controller = maker(**_asked_for(maker, car, options))
+        parameters: Iterable[str] = inspect.signature(maker).parameters
+    except (TypeError, ValueError):  # some compiled classes have no signature
+        parameters = ()
+    try:
+        made = maker(**{key: offered[key]() for key in offered if key in parameters})
     except LPVMPCError:
         raise
     except (Exception, SystemExit) as error:
-        raise ControllerError(
-            f"Controller {name!r} cannot be made from what controllers are given (car, delay, "
-            f"weights, each where it asks for it): {described(error)}."
+        raise error_class(
+            f"{Kind} {name!r} cannot be made from what {kind}s are given ({', '.join(offered)}, "
+            f"each where it asks for it): {described(error)}."
         ) from error
-    for method in ("reset", "command"):
-        if not callable(getattr(controller, method, None)):
-            raise ControllerError(
-                f"Controller {name!r} has no method {method!r}, but must have reset(rng) and "
-                "command(state, preview)."
+    for method in methods:
+        if not callable(getattr(made, method, None)):
+            raise error_class(
+                f"{Kind} {name!r} has no method {method!r}, but must have "
+                f"{' and '.join(methods.values())}."
             )
-    return controller
-
-
-def _asked_for(maker: Any, car: VehicleParams | None, options: dict[str, Any]) -> dict[str, Any]:
-    """What a user's class is made with: of car, delay and weights those it names."""
-    try:
-        parameters = inspect.signature(maker).parameters
-    except (TypeError, ValueError):  # some compiled classes have no signature
-        return {}
-    offered = {"delay": options.get("delay", 0), "weights": options.get("weights")}
-    asked = {name: value for name, value in offered.items() if name in parameters}
-    if "car" in parameters:
-        asked["car"] = car or _packaged_car()
-    return asked
+    return made
 
 
 def _packaged_car() -> VehicleParams:

@@ -33,9 +33,9 @@ def conduct(
     """Run studies and save their pictures and numbers.
 
     Args:
-        names: Which, out of `study.STUDIES`.
+        names: Which, out of `names.STUDIES`.
         folder: Receives a PNG for each picture and a CSV for each table and series.
-        broken: Name of a car of `broken.BROKEN` to study (default: the packaged car).
+        broken: Name of a car of `names.BROKEN` to study (default: the packaged car).
         jobs: Number of processes.
         progress: Called with each result as soon as it is there.
 

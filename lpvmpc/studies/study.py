@@ -22,26 +22,11 @@ from lpvmpc.car.params import VehicleParams
 from lpvmpc.errors import UnknownNameError
 from lpvmpc.plant.mjcf import compile_model, parameters, tires
 from lpvmpc.plant.plant import Plant
+from lpvmpc.studies.names import STUDIES
 from lpvmpc.units import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-STUDIES = {
-    "tire": "Tire: slip characteristics",
-    "static": "Static: mass, loads, rest, suspension",
-    "straight": "Straight line: resistances, acceleration, braking",
-    "steady-state": "Steady state: circular driving (ISO 4138)",
-    "transient": "Transient: lateral response (ISO 7401)",
-    "lane-change": "Lane changes (ISO 3888-1, 3888-2)",
-    "load-transfer": "Load transfer and roll",
-    "numerics": "Numerics: convergence, chatter, energy",
-    "cross-model": "Cross-model: single track, CommonRoad multibody",
-    "wind": "Wind: side wind and gusts",
-}
-"""Studies in the order of the report: name on the command line and title. The module of a study is
-its name with underscores."""
-
 
 TARGET = "handling target"
 """Reason of a limit that is a handling target of models/README.md as it stands."""

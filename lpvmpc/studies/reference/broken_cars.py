@@ -1,12 +1,11 @@
 """Cars broken on purpose, to see which studies notice.
 
 A study that passes every car says nothing. Each of these has one error of the kind that slips into
-vehicle models; `tests/test_broken_cars.py` demands that the studies find it.
+vehicle models; `tests/test_studies.py` demands that the studies find it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -19,6 +18,7 @@ from lpvmpc.interface import Command, State
 from lpvmpc.plant.mjcf import WHEELS, model_path
 from lpvmpc.plant.plant import Plant
 from lpvmpc.plant.rollout import DRIVE, STEER, WIND_X, WIND_Y
+from lpvmpc.studies.names import BROKEN
 from lpvmpc.studies.study import CarUnderTest
 from lpvmpc.units import Array
 
@@ -30,14 +30,15 @@ def break_car(name: str) -> CarUnderTest:
     """A car with one error; its expectations are those of the sound one.
 
     Args:
-        name: One of `BROKEN`.
+        name: One of `names.BROKEN`.
 
     Raises:
         UnknownNameError: There is no such error; the message lists those there are.
     """
     if name not in BROKEN:
         raise UnknownNameError("broken car", name, BROKEN)
-    return BROKEN[name](CarUnderTest.packaged())
+    broken: CarUnderTest = globals()[name.replace("-", "_")](CarUnderTest.packaged())
+    return broken
 
 
 class WrongTrail(Plant):
@@ -83,18 +84,21 @@ class LateForces(Plant):
         return self.state
 
 
-def _wrong_trail(car: CarUnderTest) -> CarUnderTest:
+def wrong_trail(car: CarUnderTest) -> CarUnderTest:
+    """Turn the sign of the pneumatic trail."""
     return replace(car, plant_class=WrongTrail)
 
 
-def _double_friction(car: CarUnderTest) -> CarUnderTest:
+def double_friction(car: CarUnderTest) -> CarUnderTest:
+    """Double the friction of the tires."""
     for axle in "fr":
         for name in (tire.PDX1, tire.PDX2, tire.PDY1, tire.PDY2):
             car.model.numeric(f"tire_{axle}").data[name] *= 2.0
     return car
 
 
-def _narrow_track(car: CarUnderTest) -> CarUnderTest:
+def narrow_track(car: CarUnderTest) -> CarUnderTest:
+    """Make the track narrower by a tenth."""
     spec = mujoco.MjSpec.from_file(str(model_path("vehicle")))
     spec.compiler.discardvisual = True
     for wheel in WHEELS:
@@ -102,15 +106,6 @@ def _narrow_track(car: CarUnderTest) -> CarUnderTest:
     return replace(car, model=spec.compile())
 
 
-def _late_forces(car: CarUnderTest) -> CarUnderTest:
+def late_forces(car: CarUnderTest) -> CarUnderTest:
+    """Delay the tires' forces by one physics step."""
     return replace(car, plant_class=LateForces)
-
-
-BROKEN: dict[str, Callable[[CarUnderTest], CarUnderTest]] = {
-    "wrong-trail": _wrong_trail,
-    "double-friction": _double_friction,
-    "narrow-track": _narrow_track,
-    "late-forces": _late_forces,
-}
-"""The broken cars by name: sign of the pneumatic trail, tire friction doubled, track narrower by a
-tenth, tire forces one physics step late."""

@@ -1,0 +1,62 @@
+"""The command line: `lpvmpc NAME`, each name a module with `Options` and `main`.
+
+The scripts in eval/ and data_gen/ are the same commands.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+
+from lpvmpc.errors import UnknownNameError
+
+COMMANDS = {
+    "track": "drive a scenario: table, trace, figures, video",
+    "compare": "drive a scenario with two or more controllers, side by side",
+    "tune": "tune a controller's weights within a budget",
+    "collect": "collect tire data: random manoeuvres up to the grip limit",
+    "train": "train a network of the tires on such data",
+    "benchmark": "compare stiffness models in closed loop: accuracy, robustness",
+    "fidelity": "run the fidelity studies of the simulated car",
+    "reproduce": "put the paper's numbers and figures beside ours",
+    "speed": "measure how fast the package is on this machine",
+}
+"""Commands by name, in the order of the help. Each is the module of its name, with underscores."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command that the first word names; the rest are its options.
+
+    Only that command's module is imported.
+
+    Args:
+        arguments: Command line without the program's name (default: that of the process).
+
+    Returns:
+        The exit code: the command's, or 2 where there is no such command.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if not words or words[0] in ("-h", "--help"):
+        print(_help())
+        return 0
+    name = words[0]
+    if name not in COMMANDS:
+        error = UnknownNameError("command", name, COMMANDS)
+        print("Error:", error, file=sys.stderr)
+        return 2
+    from lpvmpc.kit import cli
+
+    command = import_module(f"lpvmpc.commands.{name.replace('-', '_')}")
+    sys.argv = [f"lpvmpc {name}", *words[1:]]  # what the command's help calls itself
+    return cli.run(command.Options, command.main)
+
+
+def _help() -> str:
+    """The commands, a line each."""
+    width = max(map(len, COMMANDS))
+    lines = "\n".join(f"  {name:{width}}  {about}" for name, about in COMMANDS.items())
+    return (
+        f"usage: lpvmpc COMMAND [OPTIONS]\n\n{lines}\n\n"
+        "lpvmpc COMMAND --help lists the options of one."
+    )

@@ -1,0 +1,188 @@
+"""Measure what adapting the cornering stiffness is worth, and write the report.
+
+    lpvmpc benchmark --jobs 2
+
+Every stiffness model drives every case, with the disturbance observer and without it. Results are
+kept run by run, so that --resume goes on where an interrupted benchmark stopped. Exit codes: 0
+measured, promises met or not; 2 bad input; 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+import textwrap
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from lpvmpc.errors import LPVMPCError
+from lpvmpc.kit import cli
+from lpvmpc.kit.files import write_json, write_text
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from lpvmpc.bench.cases import Row, Search
+    from lpvmpc.sim.batch import Run
+
+NAME = "benchmark"
+QUICK_OUT = Path("runs/benchmark-quick")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Compare stiffness models in closed loop: accuracy, survival, robustness."""
+
+    quick: bool = False
+    """A look instead of the report: a few cases, into runs/benchmark-quick (unless --out)."""
+    resume: bool = False
+    """Use the results that an earlier benchmark has kept, where nothing they depend on changed."""
+    jobs: int = 0
+    """Number of processes (0: one per core)."""
+    out: Path | None = None
+    """Folder for benchmark.md, .csv, .json and .png (default: docs/results)."""
+    cache: Path = Path("runs/benchmark")
+    """Folder where results are kept, emptied unless --resume is given."""
+    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Write the values to this file as well."""
+
+
+def main(options: Options) -> int:
+    """Drive, print, save; returns the exit code."""
+    cli.check_number("--jobs", options.jobs, 0, 1024)
+    cli.check_opengl()
+    out = cli.writable_folder(options.out or (QUICK_OUT if options.quick else Path("docs/results")))
+    if options.json is not None:
+        cli.writable_folder(options.json.parent)
+    prepare(options.cache, options.resume)
+    from lpvmpc.bench import cases as ablation
+    from lpvmpc.bench import report
+
+    jobs = options.jobs or cli.cores()
+    quick = options.quick
+    cases = [c for c in ablation.CASES if not quick or c.key in ablation.QUICK]
+    tuning = ablation.SEARCH if not quick else ablation.roads(("tuning-a",), (0.76,))
+    coarse, fine = (ablation.COARSE[1::2], ()) if quick else (ablation.COARSE, ablation.FINE)
+    try:
+        with Progress() as progress:
+            drive = driver(jobs, options.cache, progress)
+            searches = ablation.search(drive("best constant"), tuning, coarse, fine)
+            best = {observer: found.best for observer, found in searches.items()}
+            rows = ablation.compare(cases, best, drive("comparison"))
+    except KeyboardInterrupt:
+        print("Interrupted; --resume goes on from here.", file=sys.stderr)
+        return cli.INTERRUPTED
+    text = report.report(rows, searches, quick=quick, jobs=jobs, picture=f"{NAME}.png")
+    print(summary(rows, searches))
+    write_text(out / f"{NAME}.md", text)
+    write_text(out / f"{NAME}.csv", report.as_csv(rows))
+    values = report.as_json(rows, searches, quick=quick, jobs=jobs)
+    for file in (out / f"{NAME}.json", options.json):
+        if file is not None:
+            write_json(file, values)
+    report.draw(rows, out / f"{NAME}.png")
+    print(f"Saved {out}/ ({', '.join(f'{NAME}.{kind}' for kind in ('md', 'csv', 'json', 'png'))})")
+    return cli.DONE
+
+
+def prepare(cache: Path, resume: bool) -> None:
+    """Make the folder of results; empty it, or see that there is something to go on from.
+
+    Raises:
+        LPVMPCError: Nothing to go on from.
+        OutputError: The folder cannot be written.
+    """
+    if resume and not results(cache):
+        raise LPVMPCError(
+            f"--resume needs the results of an earlier benchmark, but {str(cache)!r} has none; "
+            "leave --resume out to begin anew."
+        )
+    cli.writable_folder(cache)
+    if not resume:
+        for file in results(cache):
+            file.unlink(missing_ok=True)
+
+
+def results(cache: Path) -> list[Path]:
+    """The kept results: files named by a key, and no others."""
+    return [file for file in cache.glob("*.json") if re.fullmatch(r"[0-9a-f]{32}", file.stem)]
+
+
+def driver(jobs: int, cache: Path, progress: Progress) -> Any:
+    """Makes a function that drives runs under a title, as `ablation` wants it."""
+    from lpvmpc.sim.batch import drive_all
+
+    def under(title: str) -> Any:
+        def drive(runs: Sequence[Run]) -> list[dict[str, Any]]:
+            progress.begin(title, len(runs))
+            return drive_all(runs, jobs=jobs, cache=cache, progress=progress)
+
+        return drive
+
+    return under
+
+
+def summary(rows: Sequence[Row], searches: Mapping[bool, Search]) -> str:
+    """What is printed, at 80 columns: the summary, the promises, the sentences."""
+    from lpvmpc.bench import report
+    from lpvmpc.bench.verdict import Table, bars, sentences
+
+    found = bars(Table(rows))
+    parts = [
+        report.summary_table(Table(rows)),
+        report.bars_table(found),
+        report.bars_sentence(found),
+        "",
+        *sentences(Table(rows), dict(searches)),
+    ]
+    return "\n".join(part if "\n" in part else wrapped(part) for part in parts)
+
+
+def wrapped(sentence: str) -> str:
+    """A sentence in lines of 80 columns, numbers kept together with their unit."""
+    kept = re.sub(r"(?<=\d) (?=%|mm)", "\N{NO-BREAK SPACE}", sentence)
+    lines = textwrap.fill(kept, 80, break_on_hyphens=False)
+    return lines.replace("\N{NO-BREAK SPACE}", " ")
+
+
+class Progress:
+    """Progress bar with runs per second, on a terminal."""
+
+    def __init__(self) -> None:
+        self.bar: Any = None
+        self.title, self.first = "", True
+
+    def __enter__(self) -> Progress:
+        if sys.stderr.isatty():
+            from rich.console import Console
+            from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+            from rich.progress import Progress as Bar
+
+            self.bar = Bar(
+                "{task.description}", BarColumn(), TextColumn("{task.completed}/{task.total}"),
+                TextColumn("{task.fields[rate]} runs/s"), TimeRemainingColumn(),
+                console=Console(stderr=True), transient=True,
+            )  # fmt: skip
+            self.bar.start()
+        return self
+
+    def begin(self, title: str, runs: int) -> None:
+        """A new batch."""
+        if self.bar is not None:
+            for task in self.bar.tasks:
+                self.bar.remove_task(task.id)
+            self.task = self.bar.add_task(title, total=runs, rate="-")
+
+    def __call__(self, done: int, runs: int) -> None:
+        """Called with the number of runs that are done, and of all."""
+        if self.bar is not None:
+            speed = self.bar.tasks[0].speed
+            rate = "-" if speed is None else f"{speed:.2g}"
+            self.bar.update(self.task, completed=done, rate=rate)
+
+    def __exit__(self, *error: object) -> None:
+        if self.bar is not None:
+            self.bar.stop()

@@ -1,0 +1,164 @@
+"""Put every number and figure of the paper beside ours, and write the report.
+
+    lpvmpc reproduce --jobs 2
+
+Drives what is needed with the shipped weights and networks. Results of closed loops are kept by
+the hash of everything they depend on: after an interruption, or an edit that changes nothing for
+them, the same command goes on. Exit codes: 0 written, promises met or not; 2 bad input; 130
+interrupted.
+"""
+
+from __future__ import annotations
+
+import sys
+import textwrap
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from lpvmpc.control.registry import CONTROLLERS
+from lpvmpc.kit import cli
+from lpvmpc.kit.files import write_json, write_text
+
+if TYPE_CHECKING:
+    from lpvmpc.paper.measurements import Evidence
+    from lpvmpc.paper.records import Tuning
+
+NAME = "paper"
+QUICK_OUT = Path("runs/reproduce-quick")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Reproduce the paper: its numbers, figures and comparisons beside ours."""
+
+    quick: bool = False
+    """A look instead of the report: fewer roads, into runs/reproduce-quick (unless --out)."""
+    retune: bool = False
+    """Tune the weights of every controller anew, within --cache, and drive with those."""
+    retrain: bool = False
+    """Collect data and train the networks anew, within --cache, and drive with those."""
+    jobs: int = 0
+    """Number of processes (0: one per core)."""
+    out: Path | None = None
+    """Folder for paper.md, .csv, .json and paper/*.png (default: docs/results)."""
+    cache: Path = Path("runs/reproduce")
+    """Folder where results, tunings and trainings are kept from one call to the next."""
+    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Write the values to this file as well."""
+
+
+def main(options: Options) -> int:
+    """Measure, print, save; returns the exit code."""
+    cli.check_number("--jobs", options.jobs, 0, 1024)
+    cli.check_opengl()
+    out = cli.writable_folder(options.out or (QUICK_OUT if options.quick else Path("docs/results")))
+    cache = cli.writable_folder(options.cache)
+    if options.json is not None:
+        cli.writable_folder(options.json.parent)
+    jobs, start = options.jobs or cli.cores(), time.perf_counter()
+    from lpvmpc.paper import figures, findings, measurements, report
+
+    try:
+        with Progress() as say:
+            networks = retrain(cache, jobs, options.quick, say) if options.retrain else None
+            tunings = retune(cache, jobs, options.quick, say) if options.retune else None
+            found = measurements.gather(
+                quick=options.quick, jobs=jobs, cache=cache, say=say, tunings=tunings,
+                networks=networks,
+            )  # fmt: skip
+            say("figures", 0, 1)
+            pictures = figures.save_all(found, out / NAME)
+    except KeyboardInterrupt:
+        print("Interrupted; the same command goes on from here.", file=sys.stderr)
+        return cli.INTERRUPTED
+    found = replace(found, seconds=time.perf_counter() - start)
+    write_text(out / f"{NAME}.md", report.report(
+        found, {name: f"{NAME}/{file.name}" for name, file in pictures.items()}
+    ))  # fmt: skip
+    write_text(out / f"{NAME}.csv", report.as_csv(found))
+    values = report.as_json(found)
+    for file in (out / f"{NAME}.json", options.json):
+        if file is not None:
+            write_json(file, values)
+    print(summary(found, report, findings))
+    print(f"Saved {out}/ ({NAME}.md, {NAME}.csv, {NAME}.json, {NAME}/*.png)")
+    return cli.DONE
+
+
+def retune(cache: Path, jobs: int, quick: bool, say: Progress) -> dict[str, Tuning]:
+    """Every controller's weights tuned anew; a quick look does a handful of evaluations."""
+    from lpvmpc.paper import records, retrain
+    from lpvmpc.tune import tuning
+
+    found = {}
+    for name in CONTROLLERS:
+        task = tuning.Task(controller=name)
+        folder = cache / "tuning" / name
+        if quick:
+            task = tuning.Task(
+                controller=name, scenarios=("tuning-b",), generations=2, population=4
+            )
+            folder = cache / "tuning-quick" / name
+        one = records.read_tuning(retrain.tune(task, folder, jobs, say))
+        assert one is not None  # it was written just now
+        found[name] = one
+    return found
+
+
+def retrain(cache: Path, jobs: int, quick: bool, say: Progress) -> dict[str, Path]:
+    """Both networks trained anew; a quick look passes through the data a few times only."""
+    from lpvmpc.paper import retrain
+
+    if quick:
+        return retrain.train(cache / "training-quick", jobs, say, epochs=40)
+    return retrain.train(cache / "training", jobs, say)
+
+
+def summary(found: Evidence, report: Any, findings: Any) -> str:
+    """What is printed, at 80 columns: the promises and the sentences."""
+    bars = findings.bars(found)
+    parts = [report.bars_table(bars), report.bars_sentence(bars), ""]
+    parts += [f"- {sentence}" for sentence in (*findings.sentences(found), *found.missing)]
+    return "\n".join(
+        part if "\n" in part else textwrap.fill(part, 80, subsequent_indent="  ")
+        for part in parts
+    )
+
+
+class Progress:
+    """Progress bar on a terminal; callable with what is done, how much, and of how much."""
+
+    def __init__(self) -> None:
+        self.bar: Any = None
+        self.title = ""
+
+    def __enter__(self) -> Progress:
+        if sys.stderr.isatty():
+            from rich.console import Console
+            from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+            from rich.progress import Progress as Bar
+
+            self.bar = Bar(
+                "{task.description}", BarColumn(), TextColumn("{task.completed}/{task.total}"),
+                TimeRemainingColumn(), console=Console(stderr=True), transient=True,
+            )  # fmt: skip
+            self.bar.start()
+        return self
+
+    def __call__(self, what: str, done: int, total: int) -> None:
+        """Called as the work goes on."""
+        if self.bar is None:
+            return
+        if what != self.title:
+            for task in self.bar.tasks:
+                self.bar.remove_task(task.id)
+            self.task, self.title = self.bar.add_task(what, total=total), what
+        self.bar.update(self.task, completed=done, total=total)
+
+    def __exit__(self, *error: object) -> None:
+        if self.bar is not None:
+            self.bar.stop()

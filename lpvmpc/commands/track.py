@@ -1,0 +1,283 @@
+"""Drive a scenario with a controller: table, metrics, trace, figures and video.
+
+    lpvmpc track --scenario paper --render
+
+Exit codes: 0 done; 2 bad input, one line on stderr; 3 the car did not complete the scenario;
+130 interrupted, with what was measured until then saved.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+import warnings
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from lpvmpc.commands.track_table import print_table
+from lpvmpc.control.registry import CONTROLLERS, STIFFNESS_MODELS
+from lpvmpc.errors import LPVMPCError, OutputError, RenderError
+from lpvmpc.kit import cli
+from lpvmpc.kit.files import write_json
+from lpvmpc.kit.provenance import commit, machine
+from lpvmpc.road.names import SCENARIOS
+
+if TYPE_CHECKING:
+    from lpvmpc.picture.video.viewer import Viewer
+    from lpvmpc.plant.plant import Plant
+    from lpvmpc.road.path import Path as Road
+    from lpvmpc.sim.log import Log
+
+Number = Annotated[float | None, tyro.conf.arg(metavar="FLOAT")]
+File = Annotated[Path | None, tyro.conf.arg(metavar="PATH")]
+
+USER_TIMEOUT = 60.0
+"""Longest time of one call of a user's controller, by default [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Drive a scenario with a controller on the MuJoCo car and report how well it went."""
+
+    scenario: Annotated[
+        str, tyro.conf.arg(help=f"{', '.join(SCENARIOS)}, or your own FILE.csv.")
+    ] = "paper"
+    controller: Annotated[
+        str, tyro.conf.arg(help=f"{', '.join(CONTROLLERS)}, or your own module:Class.")
+    ] = "lpv-mpc"
+    stiffness: Annotated[
+        str | None,
+        tyro.conf.arg(metavar="NAME", help=(
+            f"What the LPV-MPC knows of its tires: {', '.join(STIFFNESS_MODELS)}; network-secant "
+            "is the paper's, the oracles are told the plant's own (default: network, and constant "
+            "for lpv-mpc-paper)."
+        )),
+    ] = None
+    wind_scale: float = 1.0
+    """Factor on the scenario's wind speed."""
+    friction: float = 1.0
+    """Factor on the peak friction of the road."""
+    seed: int = 0
+    """Seed of everything random."""
+    out: File = None
+    """Folder for the results (default: runs/SCENARIO-CONTROLLER)."""
+    render: bool = False
+    """Make a video: videos/SCENARIO-CONTROLLER.mp4."""
+    view: bool = False
+    """Watch the run live in MuJoCo's interactive viewer."""
+    v_max: Number = None
+    """Top speed of a planned speed profile [m/s]."""
+    ay_max: Number = None
+    """Lateral acceleration of a planned speed profile [m/s2]."""
+    grip: Number = None
+    """The same as a fraction of what the car can hold."""
+    closed: bool = False
+    """Treat a CSV track as closed (default: decided by its ends)."""
+    no_closed: bool = False
+    """Treat a CSV track as open."""
+    weights: File = None
+    """Weights of the controller, a TOML file as eval/tune.py writes it (default: the package's)."""
+    delay: int = 0
+    """Control periods after which a command reaches the car."""
+    step_timeout: Number = None
+    """Longest time of one controller call, compiling included, before the run is given up [s]
+    (default: 60 for your own controller, no limit for the package's)."""
+    json: File = None
+    """Write the metrics to this file as well."""
+
+
+def main(options: Options) -> int:
+    """Drive, print, save; returns the exit code."""
+    check(options)
+    cli.check_opengl()
+    from lpvmpc import Plant, load_controller, load_scenario, simulate
+    from lpvmpc.sim.metrics import metrics
+
+    scenario = load_scenario(options.scenario, **scenario_options(options))
+    own = ":" in options.controller
+    controller = load_controller(options.controller, **controller_options(options, own))
+    plant = Plant()
+    warn_of_another_car(controller, plant)
+    name = re.sub(r"[^\w.-]+", "-", f"{scenario.name}-{options.controller}")
+    if scenario.path.largest_shift > 0.0:
+        print(f"Road: {scenario.source}")
+    out = cli.writable_folder(options.out or Path("runs") / name)
+    video = cli.writable_folder(Path("videos")) / f"{name}.mp4" if options.render else None
+    if options.json is not None:
+        cli.writable_folder(options.json.parent)
+    viewer = open_viewer(plant, scenario.path) if options.view else None
+    forget_last_run(out)
+    with Progress(viewer) as progress:
+        log = simulate(
+            plant,
+            controller,
+            scenario,
+            seed=options.seed,
+            delay=options.delay,
+            step_timeout=options.step_timeout or (USER_TIMEOUT if own else None),
+            progress=progress,
+            name=options.controller,
+            options=scenario_options(options),
+        )
+    result = metrics(log)
+    print_table(result, log)
+    interrupted = not save(options, log, result, out)
+    print(f"Saved {out}/ (metrics.json, trace.parquet, timing.parquet, figures/)")
+    if video is not None and len(log) > 1 and not interrupted:
+        interrupted = not film(log, video)
+    if interrupted:
+        return cli.INTERRUPTED
+    return cli.DONE if result["completed"] else cli.NOT_COMPLETED
+
+
+def check(options: Options) -> None:
+    """Refuse what only a running simulation would refuse otherwise."""
+    cli.check_number("--seed", options.seed, 0, 2**63)
+    cli.check_number("--delay", options.delay, 0, 30, "periods")
+    cli.check_number("--step-timeout", options.step_timeout, 0.001, 86400.0, "s")
+    cli.check_choice("--stiffness", options.stiffness, STIFFNESS_MODELS)
+    if options.closed and options.no_closed:
+        raise LPVMPCError("--closed and --no-closed exclude each other; give only one.")
+    if options.view and sys.platform.startswith("linux"):
+        if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+            raise RenderError("--view needs a display, but neither DISPLAY nor WAYLAND_DISPLAY is "
+                              "set; --render makes a video without one.")  # fmt: skip
+
+
+def scenario_options(options: Options) -> dict[str, Any]:
+    """The options that change what is driven."""
+    return {
+        "wind_scale": options.wind_scale,
+        "friction": options.friction,
+        "v_max": options.v_max,
+        "ay_max": options.ay_max,
+        "grip": options.grip,
+        "closed": True if options.closed else False if options.no_closed else None,
+    }
+
+
+def controller_options(options: Options, own: bool) -> dict[str, Any]:
+    """What a shipped controller is made with; a user's own is made without arguments."""
+    if own:
+        for name, value in (("--weights", options.weights), ("--stiffness", options.stiffness)):
+            if value is not None:
+                raise LPVMPCError(f"{name} is {str(value)!r}, but the controller "
+                                  f"{options.controller!r} is your own: it has only what its "
+                                  "constructor sets.")  # fmt: skip
+        return {}
+    from lpvmpc.control.weights_file import read_weights
+
+    known: dict[str, Any] = {"delay": options.delay, "stiffness": options.stiffness}
+    if options.weights is not None:
+        known["weights"] = read_weights(options.weights, options.controller)
+    return known
+
+
+def warn_of_another_car(controller: Any, plant: Plant) -> None:
+    """A line on stderr where the network was trained on another vehicle.xml than the one driven."""
+    kind = getattr(getattr(controller, "stiffness", None), "name", None)
+    if kind not in ("network", "network-secant"):
+        return
+    from lpvmpc.control.stiffness.network import load_weights
+    from lpvmpc.sim.names import warn_of_another_car as check
+
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        check(load_weights(kind), plant.model)
+    for warning in caught:
+        print(f"Warning: {warning.message}", file=sys.stderr)
+
+
+def forget_last_run(out: Path) -> None:
+    """Remove the results of an earlier run, metrics.json first: what is left never looks whole."""
+    files = [out / "metrics.json", out / "trace.parquet", out / "timing.parquet"]
+    try:
+        for file in (*files, *sorted((out / "figures").glob("*.png"))):
+            file.unlink(missing_ok=True)
+    except OSError as error:
+        why = error.strerror or str(error)
+        raise OutputError(f"Cannot replace the results in {str(out)!r}: {why}.") from error
+
+
+class Progress:
+    """Progress bar on a terminal and, where asked for, the live viewer."""
+
+    def __init__(self, viewer: Viewer | None = None):
+        self.viewer = viewer
+        self.bar: Any = None
+        self.calls = 0
+
+    def __enter__(self) -> Progress:
+        if sys.stderr.isatty():
+            from rich.console import Console
+            from rich.progress import Progress as Bar
+
+            self.bar = Bar(console=Console(stderr=True), transient=True)
+            self.bar.add_task("starting (the first run compiles)", total=1.0)
+            self.bar.start()
+        return self
+
+    def __call__(self, fraction: float) -> None:
+        """Called at every control instant with the driven fraction of the path."""
+        self.calls += 1
+        if self.bar is not None and self.calls % 30 == 0:
+            self.bar.update(0, description="driving", completed=fraction)
+        if self.viewer is not None:
+            self.viewer.show()
+
+    def __exit__(self, *error: object) -> None:
+        if self.bar is not None:
+            self.bar.stop()
+        if self.viewer is not None:
+            self.viewer.close()
+
+
+def open_viewer(plant: Plant, road: Road) -> Viewer:
+    """The live viewer, whose libraries are imported for it alone."""
+    from lpvmpc.picture.video.viewer import Viewer
+
+    return Viewer(plant, road)
+
+
+def save(options: Options, log: Log, result: dict[str, Any], out: Path) -> bool:
+    """Write trace, timing, figures and, last, metrics.json; False after an interrupt."""
+    log.write(out)
+    whole = log.meta["reason"] != "interrupted"
+    if whole and len(log) > 1:
+        try:
+            from lpvmpc.picture.figures import save_all
+
+            save_all(log, out / "figures")
+        except KeyboardInterrupt:  # the figures are given up, the measurements are not
+            whole = False
+    given = {k: str(v) if isinstance(v, Path) else v for k, v in asdict(options).items()}
+    record = {
+        "options": given,
+        "weights": log.weights,
+        "clamped_inputs": log.meta["clamped_inputs"],
+        "commit": commit(),
+        "machine": machine(),
+    }
+    if options.json is not None:
+        write_json(options.json, result)
+    write_json(out / "metrics.json", {**result, "record": record})
+    return whole
+
+
+def film(log: Log, video: Path) -> bool:
+    """Make the video; False after an interrupt. A machine that cannot draw is a warning."""
+    try:
+        from lpvmpc.picture.video.render import render_video
+
+        render_video(log, video)
+    except RenderError as error:
+        print("Warning: no video:", " ".join(str(error).split()), file=sys.stderr)
+    except KeyboardInterrupt:
+        return False
+    else:
+        print(f"Saved {video}")
+    return True

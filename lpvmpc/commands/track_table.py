@@ -1,0 +1,84 @@
+"""What `lpvmpc track` prints of a run, with the paper's numbers beside it on the paper's road."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from lpvmpc.kit.provenance import machine
+
+if TYPE_CHECKING:
+    from lpvmpc.sim.log import Log
+
+PAPER = {
+    "lateral_rmse_m": 0.0217,
+    "lateral_max_m": 0.08,
+    "heading_rmse_rad": 0.0465,
+    "heading_max_rad": 0.192,  # printed as 11 degrees
+    "speed_rmse_mps": 0.101,
+    "speed_max_mps": 0.087,
+}
+"""Results printed in the paper; its largest speed error is smaller than its RMSE."""
+PAPER_SOLVE_MS = 11.3
+"""Mean solve time printed in the paper (Gurobi through Yalmip) [ms]."""
+
+
+def print_table(result: dict[str, Any], log: Log) -> None:
+    """The results, with the paper's beside them on the paper's scenario."""
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(width=80 if not sys.stdout.isatty() else None, highlight=False)
+    beside = result["scenario"] == "paper"
+    title = f"{result['controller']} on {result['scenario']}"
+    table = Table(title=title, title_style="bold", title_justify="left", expand=False)
+    table.add_column("quantity")
+    table.add_column("this run", justify="right")
+    if beside:
+        table.add_column("paper", justify="right")
+    for label, ours, paper in rows(result, log):
+        table.add_row(label, ours, *([paper] if beside else []))
+    console.print(table)
+    if result["completed"]:
+        console.print("Completed.", style="green")
+    else:
+        console.print(f"Not completed: {result['reason']}.", style="red")
+    used = result["versions"]
+    console.print(f"Seed {result['seed']}, MuJoCo {used['mujoco']}, ProxQP {used['proxsuite']}; "
+                  f"{machine()}.", style="dim")  # fmt: skip
+    if beside:
+        console.print("Paper: Kebbati et al., on CarSim; its largest speed error is below its RMSE"
+                      " as printed.", style="dim")  # fmt: skip
+
+
+def rows(result: dict[str, Any], log: Log) -> Iterator[tuple[str, str, str]]:
+    """Label, value of this run and value of the paper, as text."""
+
+    def number(key: str, unit: str, digits: int = 4, scale: float = 1.0) -> tuple[str, str]:
+        ours, paper = result[key], PAPER.get(key)
+        shown = "-" if ours is None else f"{scale * ours:.{digits}f} {unit}"
+        return shown, "" if paper is None else f"{scale * paper:.{digits}f} {unit}"
+
+    yield "lateral error, RMSE", *number("lateral_rmse_m", "mm", 2, 1e3)
+    yield "lateral error, largest", *number("lateral_max_m", "mm", 2, 1e3)
+    yield "heading error, RMSE", *number("heading_rmse_rad", "rad")
+    yield "heading error, largest", *number("heading_max_rad", "rad")
+    yield "course error, RMSE", *number("course_rmse_rad", "rad")
+    yield "speed error, RMSE", *number("speed_rmse_mps", "m/s")
+    yield "speed error, largest", *number("speed_max_mps", "m/s")
+    yield "lateral acceleration, largest", *number("lateral_acc_max_mps2", "m/s2", 2)
+    yield "distance driven", *number("distance_m", "m", 1)
+    yield "duration", *number("duration_s", "s", 2)
+    yield "duration of the reference", *number("reference_duration_s", "s", 2)
+    qp, step = result["qp"], result["step_time_us"]
+    if qp["solved"] + qp["fallback"]:
+        solve = log.timing["solve_us"]
+        yield "QPs solved / fallbacks", f"{qp['solved']} / {qp['fallback']}", ""
+        yield "QP solve time, mean", f"{solve.mean() / 1e3:.3f} ms", f"{PAPER_SOLVE_MS:.1f} ms"
+    if log.meta["clamped_inputs"] is not None:
+        yield "network inputs outside the trained range", f"{log.meta['clamped_inputs']}", ""
+    if step["p50"] is not None:
+        yield "control step, median", f"{step['p50'] / 1e3:.3f} ms", ""
+        yield "control step, 99th percentile", f"{step['p99'] / 1e3:.3f} ms", ""
+    yield "speed of the simulation", f"{result['realtime_factor']:.0f} x real time", ""

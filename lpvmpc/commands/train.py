@@ -1,0 +1,222 @@
+"""Train a network on stiffness data, and say how well it fits what it has not seen.
+
+    lpvmpc train                     # ours
+    lpvmpc train --preset paper      # the paper's network and training
+
+The network that is kept is trained with a quarter of the runs held out. Beside it, one is trained
+for each kind of manoeuvre held out and one for the random split, for each seed. Exit codes: 0 done;
+2 bad input, one line on stderr; 130 interrupted, and --resume goes on.
+"""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from lpvmpc.errors import LPVMPCError, OptionError
+from lpvmpc.kit import cli
+
+if TYPE_CHECKING:
+    from lpvmpc.learn.dataset import Dataset
+    from lpvmpc.learn.train import Trained
+
+File = Annotated[Path | None, tyro.conf.arg(metavar="PATH")]
+Count = Annotated[int | None, tyro.conf.arg(metavar="INT")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Train a network of the tires and report R2 on held-out data."""
+
+    data: Path = Path("data/stiffness.parquet")
+    """Data from data_gen/collect.py."""
+    out: File = None
+    """Weights file (default: data/network.safetensors or data/network-secant.safetensors)."""
+    preset: Literal["default", "paper"] = "default"
+    """Ours, or the paper's network and training."""
+    epochs: Count = None
+    """Passes through the training data (default: the preset's)."""
+    seed: int = 0
+    """Seed of the network that is kept."""
+    seeds: Count = None
+    """Number of seeds for the table of R2 (default: 5, for the paper's preset 1)."""
+    also: File = None
+    """Further data, of another friction, on which R2 is told."""
+    resume: bool = False
+    """Go on with an interrupted training."""
+
+
+def main(options: Options) -> int:
+    """Train, evaluate, save; returns the exit code."""
+    cli.check_number("--seed", options.seed, 0, 2**62)
+    cli.check_number("--seeds", options.seeds, 1, 100)
+    cli.check_number("--epochs", options.epochs, 1, 1_000_000)
+    cli.check_opengl()
+    from lpvmpc.kit import safetensors
+    from lpvmpc.learn import dataset
+
+    try:
+        from lpvmpc.learn import train
+    except ImportError as error:
+        if error.name != "torch":
+            raise
+        raise LPVMPCError("Training needs torch; pip install 'lpvmpc[train]' brings it.") from None
+
+    preset = train.preset(options.preset, options.epochs)
+    out = options.out or Path("data") / f"{preset.kind}.safetensors"
+    if out.suffix != ".safetensors":
+        raise OptionError("--out", str(out), "a file name ending in .safetensors")
+    data = dataset.read(options.data)
+    also = None if options.also is None else dataset.read(options.also)
+    car = check_car(data)
+    cli.writable_folder(out.parent)
+    count = options.seeds or (5 if options.preset == "default" else 1)
+    seeds = tuple(range(options.seed, options.seed + count))
+    job = train.Job(preset=preset, seeds=seeds)
+    checkpoint = out.with_name(out.name + ".checkpoint")
+    start = time.perf_counter()
+    try:
+        with Progress(preset.epochs) as progress:
+            trained = train.train(
+                data, job, car, checkpoint=checkpoint, resume=options.resume, progress=progress
+            )
+    except KeyboardInterrupt:
+        print("Interrupted; --resume goes on from here.", file=sys.stderr)
+        return cli.INTERRUPTED
+    print(f"{len(trained.names)} networks, {preset.epochs} epochs in "
+          f"{time.perf_counter() - start:.0f} s")  # fmt: skip
+    rows = report(trained, data, also, car, out)
+    safetensors.write(out, trained.weights[0].arrays, facts(options, preset.kind, data, rows))
+    checkpoint.unlink(missing_ok=True)
+    print(f"Saved {out} and {out.with_suffix('')}-fit/")
+    return cli.DONE
+
+
+def check_car(data: Dataset) -> Any:
+    """The car's parameters; a line on stderr where the data are of another car."""
+    from lpvmpc.plant.mjcf import car_sha256, compile_model, parameters
+
+    model = compile_model(visual=False)
+    if data.meta.get("car_sha256") != car_sha256(model):
+        print("Warning: the data were collected with another vehicle.xml.", file=sys.stderr)
+    return parameters(model)
+
+
+def facts(options: Options, kind: str, data: Dataset, rows: list[dict[str, Any]]) -> dict[str, str]:
+    """What the weights file says about itself."""
+    from lpvmpc.control.stiffness.network import FORMAT
+    from lpvmpc.kit.provenance import versions
+
+    kept = {row["set"]: [round(row["C_f"], 4), round(row["C_r"], 4)] for row in rows[:2]}
+    # without --resume: a training that was interrupted leaves the same bytes
+    given = " ".join(shlex.quote(word) for word in sys.argv[1:] if word != "--resume")
+    return {
+        "format": FORMAT,
+        "kind": kind,
+        "seed": str(options.seed),
+        "command": f"python data_gen/train.py {given}".strip(),
+        "data_sha256": data.sha256,
+        "data": json.dumps({k: data.meta.get(k) for k in ("samples", "seed", "friction")}),
+        "car_sha256": str(data.meta.get("car_sha256")),
+        "model_sha256": str(data.meta.get("model_sha256")),
+        "R2_C_front_rear": json.dumps(kept),
+        "versions": json.dumps(versions(), sort_keys=True),
+    }
+
+
+def report(
+    trained: Trained, data: Dataset, also: Dataset | None, car: Any, out: Path
+) -> list[dict[str, Any]]:
+    """Print and save R2 and relative errors; returns the rows of R2."""
+    from lpvmpc.learn import scores
+
+    folder = cli.writable_folder(out.with_suffix("").with_name(out.stem + "-fit"))
+    rows = scores.score_all(trained, data, car, also)
+    scores.write_csv(folder / "r2.csv", [{**dict.fromkeys(rows[0], ""), **row} for row in rows])
+    kept = scores.predict(trained.weights[0], data, car)
+    slips = scores.by_slip(kept, data, ~trained.names[0][1].train)
+    scores.write_csv(folder / "slip.csv", slips)
+    scores.write_csv(
+        folder / "learning-curve.csv",
+        [{"epoch": int(e), "train": a, "test": b} for e, a, b in trained.curve.tolist()],
+    )
+    scores.draw(folder, trained, data, car)
+    print_tables(rows, slips)
+    return rows
+
+
+def print_tables(rows: list[dict[str, Any]], slips: list[dict[str, Any]]) -> None:
+    """R2 by split, and the relative error by slip angle."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from lpvmpc.learn import scores
+
+    console = Console(width=80 if not sys.stdout.isatty() else None, highlight=False)
+    table = Table(
+        title="R2 of the secant stiffness: median over seeds (lowest)",
+        title_style="bold", title_justify="left", expand=False,
+    )  # fmt: skip
+    for name in ("held out", "set"):
+        table.add_column(name, no_wrap=True)
+    table.add_column("front", justify="right")
+    table.add_column("rear", justify="right")
+    names = {"runs": "a quarter of the runs", "random": "random samples"}
+    for line in scores.summary(rows):
+        if line["set"] == "train" and line["split"] not in names:
+            continue
+        cells = [f"{line[k][0]:.4f} ({line[k][1]:.4f})" for k in ("C_f", "C_r")]
+        held = names.get(line["split"], line["split"].removeprefix("without "))
+        table.add_row(held, {"also": "further data"}.get(line["set"], line["set"]), *cells)
+    console.print(table)
+    paper = scores.PAPER_R2
+    print(f"Paper: {paper['train']} train, {paper['test']} test, random split, other labels.")
+    table = Table(
+        title="Relative error of the secant stiffness on held-out runs",
+        title_style="bold", title_justify="left", expand=False,
+    )  # fmt: skip
+    for name in ("slip angle [deg]", "front median", "95 %", "rear median", "95 %"):
+        table.add_column(name, justify="right")
+    ranges = dict.fromkeys((row["slip_from_deg"], row["slip_to_deg"]) for row in slips)
+    for low, high in ranges:
+        cells = []
+        for axle in scores.AXLES:
+            found = [r for r in slips if r["axle"] == axle and r["slip_from_deg"] == low]
+            for key in ("median_error", "p95_error"):
+                cells.append(f"{100.0 * found[0][key]:.2f} %" if found else "-")
+        table.add_row(f"{low:g}-{high:g}", *cells)
+    console.print(table)
+
+
+class Progress:
+    """Progress bar on a terminal."""
+
+    def __init__(self, epochs: int):
+        self.epochs = epochs
+        self.bar: Any = None
+
+    def __enter__(self) -> Progress:
+        if sys.stderr.isatty():
+            from rich.console import Console
+            from rich.progress import Progress as Bar
+
+            self.bar = Bar(console=Console(stderr=True), transient=True)
+            self.bar.add_task("training", total=self.epochs)
+            self.bar.start()
+        return self
+
+    def __call__(self, epoch: int, loss: float) -> None:
+        """Called after each epoch with its number and the loss."""
+        if self.bar is not None:
+            self.bar.update(0, completed=epoch, description=f"training, loss {loss:.3g}")
+
+    def __exit__(self, *error: object) -> None:
+        if self.bar is not None:
+            self.bar.stop()

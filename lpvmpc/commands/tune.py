@@ -1,0 +1,226 @@
+"""Tune a controller's weights; or show the genetic algorithm that does so on a known function.
+
+    lpvmpc tune --controller lpv-mpc
+    lpvmpc tune --sphere
+
+Prints a table, draws the convergence and writes both beside a Markdown report; weights.toml is what
+`lpvmpc track --weights` takes. Exit codes: 0 done; 2 bad input, one line on stderr; 130
+interrupted (--resume goes on from there).
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from lpvmpc.control.registry import CONTROLLERS
+from lpvmpc.errors import OptionError
+from lpvmpc.kit import cli
+from lpvmpc.kit.files import write_json
+
+if TYPE_CHECKING:
+    from lpvmpc.tune.checkpoint import State
+    from lpvmpc.tune.tuning import Stage, Tuned
+
+Count = Annotated[int | None, tyro.conf.arg(metavar="INT")]
+File = Annotated[Path | None, tyro.conf.arg(metavar="PATH")]
+
+SPHERE = ("sphere", "generations", "population", "seed", "out", "json")
+"""Options that mean something with --sphere."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Tune a controller's weights, with the same budget for every controller."""
+
+    controller: Annotated[str, tyro.conf.arg(help=f"{', '.join(CONTROLLERS)}.")] = "lpv-mpc"
+    scenario: tuple[str, ...] = ()
+    """What to tune on (default: two tracks that no result is reported on)."""
+    generations: Count = None
+    """Generations (default: 15; with --sphere 100)."""
+    population: Count = None
+    """Individuals in the population (default: 20; with --sphere 10)."""
+    jobs: Count = None
+    """Processes (default: one per core)."""
+    backend: Literal["local", "ray"] = "local"
+    """Processes of this machine, or a Ray cluster."""
+    address: Annotated[str | None, tyro.conf.arg(metavar="ADDR")] = None
+    """Address of the Ray cluster (default: one is started here)."""
+    resume: bool = False
+    """Go on with an interrupted tuning, to the same result."""
+    sphere: bool = False
+    """Minimise the sphere function from 30 seeds instead, as in the paper's Fig. 6."""
+    seed: int = 0
+    """Seed of the search; with --sphere the first of 30."""
+    out: File = None
+    """Folder for the results (default: runs/tune-CONTROLLER; with --sphere docs/results)."""
+    json: File = None
+    """Write the values to this file as well."""
+
+
+def main(options: Options) -> int:
+    """Check the options, do the work, save; returns the exit code."""
+    cli.check_number("--generations", options.generations, 1, 10_000)
+    cli.check_number("--population", options.population, 2, 10_000)
+    cli.check_number("--seed", options.seed, 0, 2**62)
+    cli.check_number("--jobs", options.jobs, 1, 10_000)
+    cli.check_opengl()
+    return show_sphere(options) if options.sphere else tune(options)
+
+
+def tune(options: Options) -> int:
+    """Tune a controller and show what it has brought; returns the exit code."""
+    from lpvmpc import load_scenario
+    from lpvmpc.sim import batch
+    from lpvmpc.tune import tuning, tuning_report
+
+    chosen = {name: getattr(options, name) for name in ("generations", "population")}
+    task = tuning.Task(
+        controller=options.controller,
+        scenarios=options.scenario or tuple(tuning.TRACKS),
+        seed=options.seed,
+        **{name: value for name, value in chosen.items() if value is not None},
+    )
+    for name in task.scenarios:  # what cannot be driven is told before anything is
+        load_scenario(name, **tuning.TRACKS.get(name, {}))
+    out = cli.writable_folder(options.out or Path("runs") / f"tune-{options.controller}")
+    if options.json is not None:
+        cli.writable_folder(options.json.parent)
+    jobs = options.jobs or cli.cores()
+    print(f"Tuning {task.controller} on {', '.join(task.scenarios)}: "
+          f"at most {task.budget} evaluations, {jobs} jobs, seed {task.seed}.")  # fmt: skip
+    try:
+        with batch.workers(jobs, options.backend, options.address) as map, Table() as table:
+            tuned = tuning.tune(
+                task,
+                map=map,
+                checkpoint=out / "checkpoint.json",
+                resume=options.resume,
+                after=table,
+            )
+        before, after = (
+            batch.drive_all(tuning.runs(task, weights), jobs=1)
+            for weights in (tuned.by_hand, tuned.weights)
+        )
+    except KeyboardInterrupt:
+        print("Interrupted; --resume goes on from here.", file=sys.stderr)
+        return cli.INTERRUPTED
+    files = tuning_report.save(tuned, before, after, out)
+    if options.json is not None:
+        write_json(options.json, tuning_report.as_json(tuned, before, after))
+    (out / "checkpoint.json").unlink()
+    print_result(tuned, before, after)
+    print(f"Saved {out}/ ({', '.join(file.name for file in files)})")
+    return cli.DONE
+
+
+class Table:
+    """The generations as they come: a live table on a terminal, lines elsewhere."""
+
+    COLUMNS = ("search", "generation", "best", "mean", "worst", "calls", "s")
+
+    def __init__(self) -> None:
+        self.start = time.perf_counter()
+        self.rows: list[tuple[str, ...]] = []
+        self.told = 0
+        self.live: Any = None
+
+    def __enter__(self) -> Table:
+        if sys.stdout.isatty():
+            from rich.live import Live
+
+            self.live = Live(self.table(), auto_refresh=False)
+            self.live.start()
+        return self
+
+    def __call__(self, stage: Stage, state: State) -> None:
+        """Called after each generation."""
+        last = state.history[-1]
+        numbers = (f"{value:.6f}" for value in (last.best, last.mean, last.worst))
+        seconds = f"{time.perf_counter() - self.start:.0f}"
+        row = stage.method, str(state.generation), *numbers, str(state.evaluations), seconds
+        self.rows.append(row)
+        if self.live is not None:
+            self.live.update(self.table(), refresh=True)
+        else:
+            if len(self.rows) == 1:
+                print(" ".join(name.rjust(10) for name in self.COLUMNS))
+            print(" ".join(cell.rjust(10) for cell in row), flush=True)
+        new = [f for f in state.failures if f.generation == state.generation]
+        for failure in new:
+            print(f"Warning: generation {failure.generation}, individual {failure.individual} "
+                  f"is charged: {failure.text}", file=sys.stderr)  # fmt: skip
+
+    def table(self) -> Any:
+        """All generations so far."""
+        from rich.table import Table as Rows
+
+        table = Rows(title="Tuning", title_style="bold", title_justify="left", expand=False)
+        for name in self.COLUMNS:
+            table.add_column(name, justify="right")
+        for row in self.rows:
+            table.add_row(*row)
+        return table
+
+    def __exit__(self, *error: object) -> None:
+        if self.live is not None:
+            self.live.stop()
+
+
+def print_result(
+    tuned: Tuned, before: list[dict[str, Any]], after: list[dict[str, Any]]
+) -> None:
+    """Weights, and what they bring on the scenarios that tuned them."""
+    from rich.console import Console
+    from rich.table import Table as Rows
+
+    from lpvmpc.tune.tuning_report import numbers
+
+    console = Console(width=80 if not sys.stdout.isatty() else None, highlight=False)
+    weights = Rows(title="Weights", title_style="bold", title_justify="left", expand=False)
+    for name in ("weight", "by hand", "tuned"):
+        weights.add_column(name, justify="left" if name == "weight" else "right")
+    for name, value in tuned.weights.items():
+        weights.add_row(name, f"{tuned.by_hand[name]:.4g}", f"{value:.4g}")
+    console.print(weights)
+    driven = Rows(title="Driven", title_style="bold", title_justify="left", expand=False)
+    for name in ("scenario", "weights", "lateral\nmm", "heading\nrad", "speed\nm/s", ""):
+        driven.add_column(name)
+    for pair in zip(before, after, strict=True):
+        for label, result in zip(("by hand", "tuned"), pair, strict=True):
+            driven.add_row(result["scenario"], label, *numbers(result))
+    console.print(driven)
+
+
+def show_sphere(options: Options) -> int:
+    """Run, print and save the study of the sphere function."""
+    for field in fields(options):
+        value = getattr(options, field.name)
+        if field.name not in SPHERE and value != field.default:
+            raise OptionError(f"--{field.name}", value, "left out with --sphere")
+    out = cli.writable_folder(options.out or Path("docs/results"))
+    if options.json is not None:
+        cli.writable_folder(options.json.parent)
+    from lpvmpc.tune import sphere, sphere_report
+
+    def say(what: str) -> None:
+        if sys.stderr.isatty():
+            print(f"{what} ...", file=sys.stderr)
+
+    settings = replace(
+        sphere.SETTINGS,
+        generations=options.generations or sphere.SETTINGS.generations,
+        population=options.population or sphere.SETTINGS.population,
+    )
+    study = sphere.run(options.seed, settings=settings, say=say)
+    print(sphere_report.report(study), end="")
+    files = sphere_report.save(study, out)
+    if options.json is not None:
+        write_json(options.json, sphere_report.as_json(study))
+    print(f"Saved {out}/ ({', '.join(file.name for file in files)})")
+    return cli.DONE

@@ -1,0 +1,1 @@
+"""What the car measures of itself, and the estimator between sensors and controller."""
