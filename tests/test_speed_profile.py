@@ -44,7 +44,31 @@ def test_a_closed_profile_repeats_every_lap():
     np.testing.assert_allclose(speed.at(s + 2 * speed.length), speed.at(s))
 
 
-@pytest.mark.parametrize("vx", [[10.0, 0.0], [10.0, -1.0], [10.0, math.nan], [10.0]])
+def test_a_speed_from_rest_to_a_stop_has_the_time_of_its_acceleration():
+    path = Path.from_curvature([0.0, 0.0], 100.0)
+    s = np.linspace(0.0, 100.0, 51)
+    speed = SpeedProfile.from_knots(s, np.sqrt(4.0 * np.minimum(s, 100.0 - s)), path)
+    assert speed.rest == (True, True) and speed.start == 0.0 and speed.vx.min() > 0.0
+    assert speed.at(0.4) == pytest.approx(math.sqrt(4.0 * 0.4))  # within the first two knots
+    # 2 m/s2 over 50 m and back; the first and last cell of 0.2 m are passed a little too early
+    assert speed.duration == pytest.approx(2.0 * math.sqrt(50.0), rel=0.02)
+    slow = speed.capped(5.0)
+    assert slow.rest == (True, True) and slow.vx.max() == 5.0
+
+
+def test_the_moving_point_of_a_reference_from_rest_gets_going():
+    path = Path.from_curvature([0.0, 0.0], 100.0)
+    speed = SpeedProfile.from_knots([0.0, 2.0, 100.0], [0.0, 2.0, 14.0], path)
+    preview = path.preview(0.0, 0.0, 0.0, 0.0, speed.vx, speed.spacing, 60, 0.033)
+    # 1 m/s2 for 2 s: 2 m, and what the first cell of 0.2 m gains: 0.2 s
+    assert 2.0 < preview.x[-1] < 2.5
+    assert preview.vx_ref[-1] == pytest.approx(2.0, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    "vx",
+    [[10.0, 0.0], [9.0, 0.0, 9.0], [0.0, 0.0, 9.0], [10.0, -1.0], [10.0, math.nan], [10.0]],
+)
 def test_a_speed_that_is_none_is_refused(vx):
     with pytest.raises(PathError, match="reference speed"):
         SpeedProfile(np.array(vx), 10.0)

@@ -103,6 +103,20 @@ def test_a_network_of_another_car_is_a_warning(run, road, sketch, monkeypatch):
     assert (code, err) == (0, "")
 
 
+def test_what_a_road_asks_too_much_is_one_line_and_recorded(run, sketch, tmp_path):
+    fast = write_csv(tmp_path / "fast.csv", [(x, 0.0) for x in range(40)], speed=0)
+    rows = fast.read_text().splitlines()
+    speeds = [10.0 if x < 20 else 25.0 for x in range(40)]
+    rows[1:] = [f"{row[:-1]}{v}" for row, v in zip(rows[1:], speeds, strict=True)]
+    fast.write_text("\n".join(rows))
+    code, _, err = run("--scenario", fast, "--controller", "stanley", "--smoothing", 20)
+    assert code == 0 and err.count("\n") == 1
+    assert err.startswith("Warning: The reference speed of fast asks for more than the car has: ")
+    record = json.loads(Path("runs/fast-stanley/metrics.json").read_text())["record"]
+    assert record["warnings"] == [err.removeprefix("Warning: ").strip()]
+    assert record["options"]["smoothing"] == 20.0
+
+
 # Bad input: exit code 2 and one sentence --------------------------------------------------------
 
 PARAMETERS = [
@@ -129,6 +143,7 @@ PARAMETERS = [
     (["--delay", "0.5"], "--delay is '0.5', but must be a whole number"),
     (["--step-timeout", "0"], "--step-timeout is 0.0"),
     (["--stiffness", "oracl"], "--stiffness is 'oracl', but must be one of constant, network"),
+    (["--smoothing", "5"], "smoothing is 5.0, but must be left out: paper is made of no points"),
     (["--absent"], "Unrecognized options: --absent"),
 ]
 

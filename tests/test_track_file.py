@@ -81,7 +81,7 @@ def test_a_car_may_stand_at_both_ends(tmp_path):
         ("# x_m,z_m\n1,2\n", "x_m and y_m among them"),
         (HEADER + "1,2,-3,4,5,6\n", "w_tr_right_m"),
         (HEADER + "1,2,3,4,5,6\n1,2,3,4,0,6\n1,2,3,4,5,6\n",
-         r"vx_mps is 0 in row 2 \(line 3\) .* from 0.5 to 60 m/s, or 0 in the first and the last"),
+         r"vx_mps is 0 in row 2 \(line 3\) .* from 0.1 to 60 m/s, or 0 in the first and the last"),
         (HEADER + "1,2,3,4,61,6\n", r"vx_mps is 61 in row 1 \(line 2\)"),
         ("0,0,0\n3,3,0\n", "3 columns of numbers and no header that names them"),
         ("# x_m;y_m\n1,5;2\n", "Line 2 .* '1,5', which is not a number"),

@@ -79,6 +79,9 @@ class Options:
     """Treat a CSV track as closed (default: decided by its ends)."""
     no_closed: bool = False
     """Treat a CSV track as open."""
+    smoothing: Number = None
+    """Wavelength below which the points of a CSV track are smoothed [m] (default: 25, and less
+    where that would cut a corner)."""
     weights: File = None
     """Weights of the controller, a TOML file as eval/tune.py writes it (default: the package's)."""
     delay: int = 0
@@ -105,6 +108,8 @@ def main(options: Options) -> int:
     name = re.sub(r"[^\w.-]+", "-", f"{scenario.name}-{options.controller}")
     if scenario.path.largest_shift > 0.0:
         print(f"Road: {scenario.source}")
+    for sentence in scenario.warnings:
+        print("Warning:", sentence, file=sys.stderr)
     out = cli.writable_folder(options.out or Path("runs") / name)
     video = cli.writable_folder(Path("videos")) / f"{name}.mp4" if options.render else None
     if options.json is not None:
@@ -150,7 +155,9 @@ def check(options: Options) -> None:
 
 def scenario_options(options: Options) -> dict[str, Any]:
     """The options that change what is driven."""
+    given = {} if options.smoothing is None else {"smoothing": options.smoothing}
     return {
+        **given,
         "wind_scale": options.wind_scale,
         "friction": options.friction,
         "v_max": options.v_max,
@@ -259,6 +266,7 @@ def save(options: Options, log: Log, result: dict[str, Any], out: Path) -> bool:
         "options": given,
         "weights": log.weights,
         "clamped_inputs": log.meta["clamped_inputs"],
+        "warnings": log.scenario.warnings,
         "commit": commit(),
         "machine": machine(),
     }

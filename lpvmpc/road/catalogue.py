@@ -35,6 +35,8 @@ class Road:
     """Arc lengths [m] and speeds [m/s] of the road's own speed, shapes (k,)."""
     wind: Wind = field(default_factory=Wind)
     """Side wind."""
+    warnings: tuple[str, ...] = ()
+    """What a user should know of how it was made."""
     v_max: float = V_MAX
     """Top speed [m/s]."""
     ay_max: float | None = AY_MAX

@@ -2,7 +2,9 @@
 
 Raw centre lines (from maps, images, GPS) are noisy by decimetres; their curvature, which holds the
 noise divided by the square of the spacing, is useless as it is. They are fitted by the curve that
-balances the distance to the points against the change of curvature along it.
+balances the distance to the points against the change of curvature along it. A single point far
+beside the line through its neighbours is a bad measurement, which no smoothing should spread: it is
+put onto that line before (`bad_points`).
 """
 
 from __future__ import annotations
@@ -23,6 +25,15 @@ SHORTEST = 4.0
 """Shortest cut-off wavelength that is tried [m]."""
 SHIFT = 0.25
 """A shift of this much is no reason to smooth less [m]."""
+BAD = 0.5
+"""A point closer than this to the line through its neighbours is never called bad [m]."""
+BAD_NOISE = 8.0
+"""Nor is one closer than this many times the noise of the points."""
+BAD_LEFT = 0.25
+"""Share of its distance that may be left around a bad point once it is gone; a corner leaves more,
+since it is bent without the point as well."""
+BAD_MOST = 20
+"""More bad points than this are a bad survey, and are smoothed like any other."""
 MIN_POINTS = 5
 MIN_LENGTH = 10.0
 """Shorter roads than this [m] are over before the car has settled."""
@@ -42,6 +53,10 @@ class Fit:
     """How many of the given points were used: a repeated first point at the end is dropped."""
     cut_off: float
     """Cut-off wavelength of the smoothing [m]."""
+    bad: tuple[tuple[int, float], ...] = ()
+    """Index of each bad point, and how far it was moved before the fit [m]."""
+    moved: tuple[int, float] | None = None
+    """Where the smoothing has cut more than noise: index of the point and its shift [m]."""
 
 
 def ends_meet(xy: Array) -> bool:
@@ -55,8 +70,9 @@ def fit(
     xy: npt.ArrayLike,
     *,
     closed: bool | None = None,
-    smoothing: float = SMOOTHING,
+    smoothing: float | None = None,
     widths: tuple[Array | None, Array | None] = (None, None),
+    radius: float = 0.0,
     grid: float = GRID,
 ) -> Fit:
     """Smooth path through points, of continuous curvature.
@@ -65,34 +81,51 @@ def fit(
     where w_i is the spacing of the points and l the cut-off wavelength: a wave of length l is
     halved, one of 2 l kept to 98 %. The parameter u is the arc length, found by fitting again.
 
-    A cut-off that moves a point much further than the points' own noise has cut a corner, not
-    noise; it is then shortened step by step, down to `SHORTEST`.
+    Unless it is given, the cut-off begins at `SMOOTHING`. Where that moves a point much further
+    than the points' own noise it has cut a corner, not noise; it is then shortened step by step,
+    down to `SHORTEST`, but not to where the road is tighter than `radius` if a longer one keeps to
+    the road's widths.
 
     Args:
         xy: Points [m], shape (k, 2).
         closed: Whether they go round; None: if their ends meet.
-        smoothing: Longest cut-off wavelength l [m]; 0 passes (almost) through the points.
+        smoothing: Cut-off wavelength l [m]; 0 passes (almost) through the points.
         widths: Road widths to the right and left at the points [m], shape (k,).
+        radius: Smallest radius that the road should have [m].
         grid: Largest spacing of the path's fine grid [m].
 
     Raises:
         PathError: Too few, repeated or non-finite points, or ends that do not meet.
         OptionError: A smoothing that is no length.
     """
-    if not (math.isfinite(smoothing) and 0.0 <= smoothing <= 200.0):
+    given = smoothing is not None
+    if smoothing is None:
+        smoothing = SMOOTHING
+    elif isinstance(smoothing, bool) or not 0.0 <= smoothing <= 200.0:  # NaN fails it too
         raise OptionError("smoothing", smoothing, "a wavelength from 0 to 200 m")
     xy, closed = _checked(np.array(xy, dtype=float), closed, grid)
     noise = _noise(xy)
-    cut_off = min(smoothing, 0.25 * _chain(xy, closed)[1])
+    xy, bad = bad_points(xy, closed, noise)
+    room = np.full(len(xy), math.inf)
+    for width in widths:
+        room = np.minimum(room, WIDTH if width is None else width[: len(xy)])
+    cut_off = smoothing if given else min(smoothing, 0.25 * _chain(xy, closed)[1])
+    drivable: tuple[float, _Curve, Array] | None = None
     while True:
         curve = _fit(xy, closed, cut_off, grid)
         path = curve.path(WIDTH, WIDTH)
         feet = np.array(
             [path.project(x, y, near) for (x, y), near in zip(xy, curve.u, strict=True)]
         )
-        shift = float(np.abs(feet[:, 1]).max())
-        if shift <= max(SHIFT, 5.0 * noise) or cut_off <= SHORTEST:
+        shifts = np.abs(feet[:, 1])
+        tight = radius * float(np.abs(path.kappa).max()) > 1.0
+        if tight and drivable is not None:
+            cut_off, curve, feet = drivable
             break
+        if given or shifts.max() <= max(SHIFT, 5.0 * noise) or cut_off <= SHORTEST:
+            break
+        if not tight and np.all(shifts <= room):
+            drivable = cut_off, curve, feet
         cut_off = max(0.8 * cut_off, SHORTEST)
     right, left = (
         WIDTH
@@ -100,8 +133,81 @@ def fit(
         else np.interp(path.s, feet[:, 0], width[: len(xy)], period=path.length if closed else None)
         for width in widths
     )
-    path = curve.path(right, left, shift)
-    return Fit(path=path, s=feet[:, 0], keep=len(xy), cut_off=cut_off)
+    i = int(np.argmax(np.abs(feet[:, 1])))
+    shift = float(abs(feet[i, 1]))
+    return Fit(
+        path=curve.path(right, left, shift),
+        s=feet[:, 0],
+        keep=len(xy),
+        cut_off=cut_off,
+        bad=bad,
+        moved=(i, shift) if shift > max(SHIFT, 5.0 * noise) else None,
+    )
+
+
+def bad_points(
+    xy: Array, closed: bool, noise: float
+) -> tuple[Array, tuple[tuple[int, float], ...]]:
+    """Single points far beside the line through their neighbours, put onto it.
+
+    The line is the cubic through two neighbours on either side. A point is bad where it lies
+    further from it than `BAD` and `BAD_NOISE` times the noise, and the road is smooth without it.
+
+    Args:
+        xy: Points [m], shape (k, 2).
+        closed: Whether they go round.
+        noise: Standard deviation of the points across the road [m].
+
+    Returns:
+        The points, and index and distance [m] of each that was moved.
+    """
+    bound = max(BAD, BAD_NOISE * noise)
+    found: dict[int, float] = {}
+    mended = xy
+    while len(found) <= BAD_MOST:
+        off, line = _beside_neighbours(mended, closed)
+        for i in np.argsort(-off):
+            if off[i] <= bound:
+                return mended, tuple(sorted(found.items()))
+            rest, _ = _beside_neighbours(np.delete(mended, i, axis=0), closed)
+            around = np.arange(i - 2, i + 2)  # without point i its neighbours stand here
+            around = around % len(rest) if closed else around[(0 <= around) & (around < len(rest))]
+            if int(i) not in found and rest[around].max() < BAD_LEFT * off[i]:
+                break
+        else:
+            return mended, tuple(sorted(found.items()))
+        found[int(i)] = float(off[i])
+        mended = mended.copy()
+        mended[i] = line[i]
+    return xy, ()
+
+
+def _beside_neighbours(xy: Array, closed: bool) -> tuple[Array, Array]:
+    """Distance of each point from the cubic through its four neighbours [m], and the place on it.
+
+    Returns:
+        Distances (k,), 0 for the two points at each open end, and places (k, 2).
+    """
+    k = len(xy)
+    a, b, c, d = (xy[(np.arange(k) + j) % k] for j in (-2, -1, 1, 2))
+
+    def length(vector: Array) -> Array:
+        return np.maximum(np.hypot(*vector.T), 1e-9)
+
+    before, after = length(xy - b), length(c - xy)
+    chord = length(c - b)
+    t = np.stack([-length(b - a), np.zeros(k), chord, chord + length(d - c)])  # (4, k)
+    at = chord * before / (before + after)
+    line = np.zeros_like(xy)
+    for j, point in enumerate((a, b, c, d)):  # Lagrange's form of the cubic
+        others = [m for m in range(4) if m != j]
+        factor = np.prod([(at - t[m]) / (t[j] - t[m]) for m in others], axis=0)
+        line += factor[:, None] * point
+    across = (xy - line)[:, 1] * (c - b)[:, 0] - (xy - line)[:, 0] * (c - b)[:, 1]
+    off = np.abs(across) / chord
+    if not closed:
+        off[[0, 1, -2, -1]] = 0.0
+    return off, line
 
 
 def _checked(xy: Array, closed: bool | None, grid: float) -> tuple[Array, bool]:

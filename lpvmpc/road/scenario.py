@@ -17,6 +17,7 @@ from lpvmpc.car.params import VehicleParams
 from lpvmpc.errors import OptionError, PathError, UnknownNameError
 from lpvmpc.road import catalogue, centreline, track_file
 from lpvmpc.road.catalogue import Road
+from lpvmpc.road.demand import shortfalls, start_speed_limit
 from lpvmpc.road.names import SCENARIOS
 from lpvmpc.road.path import Path
 from lpvmpc.road.speed_profile import SpeedProfile, plan
@@ -66,6 +67,9 @@ class Scenario:
     """The options of `load_scenario` that made it."""
     cones: Array = field(default_factory=lambda: np.empty((0, 2)))
     """Where cones stand [m], shape (n, 2), for pictures: the car drives through them unharmed."""
+    warnings: tuple[str, ...] = ()
+    """What a user should know before driving, one sentence each: points that were moved, a
+    reference that asks for more than the car has."""
 
     @property
     def reference_duration(self) -> float:
@@ -85,6 +89,7 @@ def load_scenario(
     ay_max: float | None = None,
     grip: float | None = None,
     closed: bool | None = None,
+    smoothing: float | None = None,
     wind_scale: float = 1.0,
     friction: float = 1.0,
     params: VehicleParams,
@@ -103,6 +108,8 @@ def load_scenario(
         grip: The same as a fraction of `params.ay_limit` times `friction`.
         closed: Whether a CSV track goes round (None: if its ends meet); False opens a named
             closed one, to be driven once from its start to its end.
+        smoothing: Cut-off wavelength of the smoothing of a CSV's points [m], 0 for almost none;
+            None: as long as it cuts no corner. See `centreline.fit`.
         wind_scale: Factor on the wind speed.
         friction: Scale on the road's peak friction.
         params: The car.
@@ -115,10 +122,12 @@ def load_scenario(
     _check_options(v_max, ay_max, grip, wind_scale, friction)
     name = str(name_or_csv)
     if name in SCENARIOS:
+        if smoothing is not None:
+            raise OptionError("smoothing", smoothing, f"left out: {name} is made of no points")
         base = catalogue.build(name)
         path = base.path if closed is None else _with_ends(base.path, closed, name)
     elif isinstance(name_or_csv, FilePath) or name.lower().endswith(".csv") or "/" in name:
-        base = _from_csv(FilePath(name_or_csv), closed)
+        base = _from_csv(FilePath(name_or_csv), closed, smoothing, params)
         path, name = base.path, FilePath(name_or_csv).stem
     else:
         raise UnknownNameError("scenario", name, SCENARIOS)
@@ -134,7 +143,7 @@ def load_scenario(
     if given is not None:
         speed = SpeedProfile.from_knots(*given, path)
         if v_max is not None:
-            speed = SpeedProfile(np.minimum(speed.vx, v_max), path.length, path.closed)
+            speed = speed.capped(v_max)
         limit = None
     elif base.constant:
         tightest = float(np.abs(path.kappa).max())
@@ -143,6 +152,8 @@ def load_scenario(
     else:
         assert limit is not None
         speed = plan(path, params, ay_max=limit, v_max=v_cap)
+    scale = None if friction == 1.0 else RoadFriction(scale=float(friction))
+    _check_start(path, speed, params, friction, base.vx is not None and given is not None, name)
     wind = base.wind
     if wind_scale != 1.0:
         wind = Wind(
@@ -157,7 +168,7 @@ def load_scenario(
         path=path,
         speed=speed,
         wind=wind,
-        friction=None if friction == 1.0 else RoadFriction(scale=float(friction)),
+        friction=scale,
         ay_max=limit,
         source=base.source,
         options={
@@ -165,10 +176,12 @@ def load_scenario(
             "ay_max": ay_max,
             "grip": grip,
             "closed": path.closed,
+            **({} if smoothing is None else {"smoothing": smoothing}),
             "wind_scale": wind_scale,
             "friction": friction,
         },
         cones=base.cones(params.width) if base.cones is not None else np.empty((0, 2)),
+        warnings=(*base.warnings, *_too_much(path, speed, params, scale, name, limit)),
     )
 
 
@@ -210,17 +223,37 @@ def _with_ends(path: Path, closed: bool, name: str) -> Path:
     )
 
 
-def _from_csv(file: FilePath, closed: bool | None) -> Road:
+def _from_csv(
+    file: FilePath, closed: bool | None, smoothing: float | None, params: VehicleParams
+) -> Road:
     """A road from a track file: smoothed points, and its speed and wind where it has them."""
     track = track_file.read_csv(file)
     try:
         fitted = centreline.fit(
-            track.xy, closed=closed, widths=(track.width_right, track.width_left)
+            track.xy,
+            closed=closed,
+            smoothing=smoothing,
+            widths=(track.width_right, track.width_left),
+            radius=turning_radius(params),
         )
+        path, s, keep = fitted.path, fitted.s, fitted.keep
+        if path.closed and track.vx is not None and track.vx[:keep].min() == 0.0:
+            raise PathError("vx_mps is 0 at an end, but a closed road is driven without a stop.")
     except PathError as error:
         raise PathError(f"{file}: {error}") from None
-    path, s, keep = fitted.path, fitted.s, fitted.keep
     period = path.length if path.closed else None
+    warnings = []
+    for i, distance in fitted.bad:
+        warnings.append(
+            f"Row {i + 1} (line {track.lines[i]}) of {file} lies {distance:.2f} m beside the line "
+            "through its neighbours; it is taken for a bad measurement and put onto that line."
+        )
+    if fitted.moved is not None:
+        i, shift = fitted.moved
+        warnings.append(
+            f"Smoothing over {fitted.cut_off:.3g} m moved row {i + 1} (line {track.lines[i]}) of "
+            f"{file} by {shift:.2f} m; the option smoothing sets its length."
+        )
     return Road(
         path=path,
         source=f"{file}, smoothed over {fitted.cut_off:.0f} m, which moved its points by up to "
@@ -229,15 +262,55 @@ def _from_csv(file: FilePath, closed: bool | None) -> Road:
         wind=Wind()
         if track.wind is None
         else Wind(knots=s, speeds=track.wind[:keep], over="distance", period=period),
+        warnings=tuple(warnings),
     )
 
 
-def _check_curvature(path: Path, params: VehicleParams, name: str) -> None:
-    """Refuse a road tighter than the turning circle of the centre of mass.
+def _check_start(
+    path: Path, speed: SpeedProfile, params: VehicleParams, friction: float, given: bool, name: str
+) -> None:
+    """Refuse a first speed at which the car cannot be: it would have no state to start from."""
+    fastest = start_speed_limit(float(path.kappa[0]), params, friction)
+    if speed.start > fastest:
+        what = "vx_mps of row 1" if given else "the speed at the start"
+        raise PathError(
+            f"The road of {name} cannot be driven from its start: {what} is {speed.start:.4g} m/s, "
+            f"but the car can hold at most {fastest:.4g} m/s there; the option v_max caps it."
+        )
+
+
+def _too_much(
+    path: Path,
+    speed: SpeedProfile,
+    params: VehicleParams,
+    friction: RoadFriction | None,
+    name: str,
+    limit: float | None,
+) -> list[str]:
+    """A sentence where the reference asks for more than car and road have."""
+    found = shortfalls(path, speed, params, friction)
+    if not found:
+        return []
+    kind = "reference" if limit is None else "planned"
+    on = "" if friction is None else f" at a friction of {friction.scale:g}"
+    hint = "" if limit is None else "; with the option grip a plan follows the friction"
+    return [
+        f"The {kind} speed of {name} asks for more than the car has{on}: "
+        f"{', and '.join(str(one) for one in found)}{hint}."
+    ]
+
+
+def turning_radius(params: VehicleParams) -> float:
+    """Radius of the smallest circle that the centre of mass can drive [m].
 
     R_min^2 = (L / tan delta_max)^2 + lr^2
     """
-    radius = math.hypot(params.wheelbase / math.tan(params.delta_max), params.lr)
+    return math.hypot(params.wheelbase / math.tan(params.delta_max), params.lr)
+
+
+def _check_curvature(path: Path, params: VehicleParams, name: str) -> None:
+    """Refuse a road tighter than the turning circle of the centre of mass."""
+    radius = turning_radius(params)
     i = int(np.argmax(np.abs(path.kappa)))
     tightest = abs(float(path.kappa[i]))
     if tightest > 1.0 / radius:

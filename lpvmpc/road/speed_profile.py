@@ -29,6 +29,10 @@ class SpeedProfile:
     """Reference speed, linear between uniformly spaced points of a path.
 
     Beyond the ends of an open path the end values hold; on a closed path it repeats every lap.
+
+    At either end of an open path it may be given as 0: the car starts from rest, or stops there.
+    A reference point at 0 m/s would never get going, so in that end's cell it moves at half the
+    speed of the cell's other side: the mean speed of a constant acceleration from rest.
     """
 
     vx: Array
@@ -37,24 +41,38 @@ class SpeedProfile:
     """Arc length that the points span [m]."""
     closed: bool = False
     """Whether the path is closed."""
+    rest: tuple[bool, bool] = (False, False)
+    """Whether the car starts from rest, and whether it stops at the end; true where the speed is
+    given as 0 there."""
 
     def __post_init__(self) -> None:
         """Check the speeds and make them read-only.
 
         Raises:
-            PathError: Speeds that are not positive numbers.
+            PathError: Speeds that are not positive numbers, 0 at an end of an open path excepted.
         """
         vx = np.ascontiguousarray(self.vx, dtype=float)
         if vx is self.vx:
             vx = vx.copy()
+        if vx.ndim == 1 and len(vx) > 2 and not self.closed:
+            rest = self.rest[0] or vx[0] == 0.0, self.rest[1] or vx[-1] == 0.0
+            object.__setattr__(self, "rest", (bool(rest[0]), bool(rest[1])))
+            for end, inner in ((0, 1), (-1, -2)):
+                if vx[end] == 0.0:
+                    vx[end] = 0.5 * vx[inner]
         if vx.ndim != 1 or len(vx) < 2 or not np.all(np.isfinite(vx)) or vx.min() <= 0.0:
-            raise PathError("A reference speed must be positive and finite everywhere.")
+            raise PathError(
+                "A reference speed must be positive and finite everywhere; only an open road may "
+                "have 0 at its first and its last point."
+            )
         vx.flags.writeable = False
         object.__setattr__(self, "vx", vx)
 
     @classmethod
     def from_knots(cls, s: npt.ArrayLike, vx: npt.ArrayLike, path: Path) -> SpeedProfile:
         """Speed given at knots, linear in between, put on the grid of a path.
+
+        From or to a knot at rest the acceleration is constant instead: linear in vx^2.
 
         Args:
             s: Arc length of the knots, increasing [m], shape (k,).
@@ -63,12 +81,29 @@ class SpeedProfile:
         """
         period = path.length if path.closed else None
         at, speeds = np.asarray(s, dtype=float), np.asarray(vx, dtype=float)
-        return cls(np.interp(path.s, at, speeds, period=period), path.length, path.closed)
+        values = np.interp(path.s, at, speeds, period=period)
+        if not path.closed and len(at) > 2 and speeds[[0, -1]].min() == 0.0:
+            at = at.copy()
+            at[[0, -1]] = 0.0, path.length  # a foot may lie a little inside the path
+            constant = np.sqrt(np.interp(path.s, at, speeds**2))
+            for here, zone in ((0, path.s < at[1]), (-1, path.s > at[-2])):
+                if speeds[here] == 0.0:
+                    values[zone] = constant[zone]
+        return cls(values, path.length, path.closed)
+
+    def capped(self, v_max: float) -> SpeedProfile:
+        """The same, but nowhere faster than v_max [m/s]."""
+        return SpeedProfile(np.minimum(self.vx, v_max), self.length, self.closed, self.rest)
 
     @classmethod
     def constant(cls, vx: float, path: Path) -> SpeedProfile:
         """One speed [m/s] all along a path."""
         return cls(np.full(len(path.s), float(vx)), path.length, path.closed)
+
+    @property
+    def start(self) -> float:
+        """Speed at which the car starts [m/s]: 0 from rest."""
+        return 0.0 if self.rest[0] else float(self.vx[0])
 
     @property
     def spacing(self) -> float:

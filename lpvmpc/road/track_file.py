@@ -23,8 +23,8 @@ ALIASES = {
 }
 """Other names that are read. What is not named in either is left aside: the s_m, psi_rad,
 kappa_radpm and ax_mps2 of a race line follow from its points and speeds."""
-SLOWEST = 0.5
-"""Slowest reference speed between the ends [m/s]: a car below it counts as standing."""
+SLOWEST = 0.1
+"""Slowest reference speed between the ends [m/s]."""
 FASTEST = 60.0
 """Fastest reference speed [m/s]."""
 

@@ -234,7 +234,7 @@ class _Loop:
         x, y, psi, kappa = (float(value) for value in scenario.path.at(0.0))
         self._lay_road(0.0)
         wind = scenario.wind.velocity(0.0, 0.0, psi)
-        vx = float(scenario.speed.at(0.0))
+        vx = scenario.speed.start
         return self.plant.reset(x, y, psi, vx, kappa=kappa, wind=wind, align="course")
 
     def _lay_road(self, s: float) -> None:
