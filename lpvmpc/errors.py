@@ -19,6 +19,9 @@ class OptionError(LPVMPCError, ValueError):
         super().__init__(f"{name} is {value!r}, but must be {allowed}.")
         self.name, self.value, self.allowed = name, value, allowed
 
+    def __reduce__(self) -> tuple[type, tuple[object, ...]]:  # to come out of a worker process
+        return type(self), (self.name, self.value, self.allowed)
+
 
 class UnknownNameError(LPVMPCError, KeyError):
     """A scenario, controller or model name does not exist."""
@@ -31,6 +34,9 @@ class UnknownNameError(LPVMPCError, KeyError):
 
     def __str__(self) -> str:  # KeyError would print the repr
         return self.message
+
+    def __reduce__(self) -> tuple[type, tuple[object, ...]]:  # to come out of a worker process
+        return type(self), (self.kind, self.name, self.choices)
 
 
 class PathError(LPVMPCError, ValueError):

@@ -9,6 +9,7 @@ from lpvmpc.control import weights_file
 from lpvmpc.control.formulation import Weights
 from lpvmpc.control.registry import CONTROLLERS
 from lpvmpc.errors import DataError, LPVMPCError, OptionError, UnknownNameError
+from lpvmpc.kit.workers import workers
 from lpvmpc.sim import batch
 from lpvmpc.tune import tuning, tuning_report
 from lpvmpc.tune.tuning import NERVOUS, Space, Task, stages, tune
@@ -188,8 +189,8 @@ def test_one_worker_and_two_find_the_same(tmp_path):
         generations=1,
         population=4,
     )
-    with batch.workers(2) as two:
-        assert tune(task, map=two).weights == tune(task).weights
+    with workers(2) as two:
+        assert tune(task, map=two.map).weights == tune(task).weights
 
 
 # Bad input --------------------------------------------------------------------------------------

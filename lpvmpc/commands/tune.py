@@ -76,6 +76,7 @@ def main(options: Options) -> int:
 def tune(options: Options) -> int:
     """Tune a controller and show what it has brought; returns the exit code."""
     from lpvmpc import load_scenario
+    from lpvmpc.kit.workers import workers
     from lpvmpc.sim import batch
     from lpvmpc.tune import tuning, tuning_report
 
@@ -95,10 +96,10 @@ def tune(options: Options) -> int:
     print(f"Tuning {task.controller} on {', '.join(task.scenarios)}: "
           f"at most {task.budget} evaluations, {jobs} jobs, seed {task.seed}.")  # fmt: skip
     try:
-        with batch.workers(jobs, options.backend, options.address) as map, Table() as table:
+        with workers(jobs, options.backend, options.address) as pool, Table() as table:
             tuned = tuning.tune(
                 task,
-                map=map,
+                map=pool.map,
                 checkpoint=out / "checkpoint.json",
                 resume=options.resume,
                 after=table,

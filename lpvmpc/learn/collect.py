@@ -11,13 +11,11 @@ from __future__ import annotations
 import copy
 import json
 import math
-import multiprocessing
 import shutil
-import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from multiprocessing.connection import Connection, wait
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +25,7 @@ import numpy as np
 from lpvmpc.errors import DataError, LPVMPCError, OptionError, OutputError
 from lpvmpc.kit.files import whole, write_json
 from lpvmpc.kit.provenance import model_sha256, versions
+from lpvmpc.kit.workers import workers
 from lpvmpc.learn import dataset, manoeuvres
 from lpvmpc.learn.manoeuvres import KINDS, ROWS
 from lpvmpc.plant.mjcf import car_sha256, compile_model
@@ -40,6 +39,8 @@ SHORTEST = 16
 """A run of fewer rows left the domain at once and is not kept."""
 ROW_GROUP = 16384
 """Rows that are in memory when shards are merged."""
+
+DIED = "A worker process died (killed, or out of memory?); --resume goes on from here."
 
 Progress = Callable[[int], None]
 
@@ -140,11 +141,11 @@ def collect(
     found = done
     if progress is not None:
         progress(done)
-    workers = _here if jobs == 1 or len(missing) < 2 else _processes
-    for shard in workers(plan, folder, facts, missing, min(jobs, max(len(missing), 1))):
-        done += plan.rows_of(shard)
-        if progress is not None:
-            progress(done)
+    with workers(min(jobs, max(len(missing), 1)), died=DIED) as pool:
+        for shard in pool.each(partial(_work, plan, folder, facts), missing):
+            done += plan.rows_of(shard)
+            if progress is not None:
+                progress(done)
     with _writing(out):
         merge(plan, folder, out, facts)
         shutil.rmtree(folder)
@@ -257,6 +258,18 @@ def _shard_file(folder: Path, shard: int) -> Path:
     return folder / f"shard-{shard:06d}.parquet"
 
 
+def _work(plan: Plan, folder: Path, facts: dict[str, Any], shard: int) -> int:
+    """Make a shard, in this process or in a worker; gives its number."""
+    write_shard(_driver(plan), folder, shard, facts)
+    return shard
+
+
+@lru_cache(maxsize=1)  # compiling and loading take as long as a shard
+def _driver(plan: Plan) -> Driver:
+    """The driver of this process."""
+    return Driver(plan)
+
+
 def write_shard(driver: Driver, folder: Path, shard: int, facts: dict[str, Any]) -> None:
     """Fill the slots of a shard and write it, whole or not at all."""
     import pyarrow as pa
@@ -306,99 +319,3 @@ def merge(plan: Plan, folder: Path, out: Path, facts: dict[str, Any]) -> None:
             if rows >= ROW_GROUP or shard == plan.shards - 1:
                 writer.write_table(pa.concat_tables(waiting), row_group_size=rows)
                 waiting, rows = [], 0
-
-
-# Processes ---------------------------------------------------------------------------------------
-
-
-def _here(
-    plan: Plan, folder: Path, facts: dict[str, Any], shards: list[int], jobs: int
-) -> Iterator[int]:
-    """Make the shards in this process."""
-    if not shards:
-        return
-    driver = Driver(plan)
-    for shard in shards:
-        write_shard(driver, folder, shard, facts)
-        yield shard
-
-
-def _processes(
-    plan: Plan, folder: Path, facts: dict[str, Any], shards: list[int], jobs: int
-) -> Iterator[int]:
-    """Make the shards in several processes; yields each as it is done.
-
-    A worker ends when its pipe closes, also when this process is killed.
-    """
-    context = multiprocessing.get_context("spawn")
-    workers: dict[Connection, Any] = {}
-    waiting = iter(shards)
-    try:
-        for _ in range(jobs):
-            mine, theirs = context.Pipe()
-            process = context.Process(target=_work, args=(plan, folder, facts, theirs), daemon=True)
-            process.start()
-            theirs.close()
-            workers[mine] = process
-            _send(mine, next(waiting), process)
-        while workers:
-            for connection in wait(list(workers)):
-                assert isinstance(connection, Connection)
-                answer = _answer(connection, workers[connection])
-                if isinstance(answer, Exception):
-                    raise answer
-                yield answer
-                following = next(waiting, None)
-                _send(connection, following, workers[connection])
-                if following is None:
-                    workers.pop(connection).join()
-    finally:
-        for connection, process in workers.items():
-            process.terminate()
-            process.join()
-            connection.close()
-
-
-def _answer(connection: Connection, process: Any) -> Any:
-    """What a worker says.
-
-    Raises:
-        LPVMPCError: It has died.
-    """
-    try:
-        return connection.recv()
-    except (EOFError, ConnectionResetError):
-        raise _dead(process) from None
-
-
-def _send(connection: Connection, shard: int | None, process: Any) -> None:
-    """Send a worker its next shard, or None to end it.
-
-    Raises:
-        LPVMPCError: It has died.
-    """
-    try:
-        connection.send(shard)
-    except (BrokenPipeError, ConnectionResetError):
-        raise _dead(process) from None
-
-
-def _dead(process: Any) -> LPVMPCError:
-    process.join(5.0)
-    code = process.exitcode
-    return LPVMPCError(f"A worker process died (exit code {code}); --resume goes on from here.")
-
-
-def _work(plan: Plan, folder: Path, facts: dict[str, Any], connection: Connection) -> None:
-    """A worker: makes the shards whose numbers it is sent."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent says when to stop
-    driver: Driver | None = None
-    try:
-        while (shard := connection.recv()) is not None:
-            driver = driver or Driver(plan)
-            write_shard(driver, folder, shard, facts)
-            connection.send(shard)
-    except (EOFError, BrokenPipeError, ConnectionResetError):
-        return  # the parent is gone
-    except LPVMPCError as error:
-        connection.send(LPVMPCError(str(error)))

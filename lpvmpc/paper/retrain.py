@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from lpvmpc.errors import DataError, LPVMPCError
+from lpvmpc.kit.workers import workers
 from lpvmpc.sim import batch
 from lpvmpc.tune import tuning, tuning_report
 
@@ -51,8 +52,8 @@ def tune(task: tuning.Task, folder: Path, jobs: int, say: Say) -> Path:
     def after(stage: tuning.Stage, state: tuning.State) -> None:
         say(f"tuning {task.controller}", min(state.evaluations, total), total)
 
-    with batch.workers(jobs) as map:
-        options: dict[str, Any] = {"map": map, "checkpoint": checkpoint, "after": after}
+    with workers(jobs) as pool:
+        options: dict[str, Any] = {"map": pool.map, "checkpoint": checkpoint, "after": after}
         try:
             tuned = tuning.tune(task, resume=checkpoint.exists(), **options)
         except DataError:  # of another version, or cut off while it was written

@@ -11,18 +11,17 @@ import hashlib
 import importlib.util
 import json
 import os
-import signal
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cache, lru_cache
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from lpvmpc.errors import LPVMPCError, OptionError, described
 from lpvmpc.kit.files import write_json
 from lpvmpc.kit.provenance import versions
+from lpvmpc.kit.workers import check, workers
 from lpvmpc.plant import deviations
 from lpvmpc.plant.mjcf import model_path
 from lpvmpc.road.scenario import RoadFriction, Scenario
@@ -34,9 +33,6 @@ if TYPE_CHECKING:
     from lpvmpc.plant.plant import Plant
     from lpvmpc.sim.log import Log
 
-BACKENDS = ("local", "ray")
-"""Where runs can be driven: processes of this machine, or a Ray cluster."""
-
 FOUNDATION = (
     "units.py", "errors.py", "interface.py", "car/**/*", "plant/**/*", "road/**/*", "control/**/*",
     "sensing/**/*", "sim/**/*",
@@ -46,8 +42,6 @@ DIED = (
     "A worker process died (killed, or out of memory?); what was finished is kept, and fewer jobs "
     "need less memory."
 )
-T = TypeVar("T")
-R = TypeVar("R")
 Progress = Callable[[int, int], None]
 """Called with the number of runs that are done and of all."""
 
@@ -222,7 +216,7 @@ def drive_all(
     Args:
         runs: What to drive.
         jobs: Number of processes; with 1, all happens in this one (unless on Ray).
-        backend: One of `BACKENDS`.
+        backend: One of `kit.workers.BACKENDS`.
         address: Address of the Ray cluster (default: Ray decides, and starts one here).
         cache: Folder of results kept by key, read and written; None keeps nothing.
         progress: Called at the start and after each run.
@@ -236,7 +230,7 @@ def drive_all(
         OutputError: The folder cannot be written.
         KeyboardInterrupt: Ctrl-C.
     """
-    _check_workers(jobs, backend, address)
+    check(jobs, backend, address)
     keys = [run.key() for run in runs]
     kept = None if cache is None else Path(cache)
     found: dict[str, dict[str, Any]] = {}
@@ -247,65 +241,15 @@ def drive_all(
         progress(done, len(runs))
     missing = {key: run for key, run in zip(keys, runs, strict=True) if key not in found}
     if missing:
-        alone = backend == "local" and jobs == 1
-        outcomes = _here(missing) if alone else _elsewhere(missing, jobs, backend, address)
-        for key, result, failed in outcomes:
-            found[key] = result
-            if kept is not None and not failed:
-                write_json(kept / f"{key}.json", result)
-            done += keys.count(key)
-            if progress is not None:
-                progress(done, len(runs))
+        with workers(jobs, backend, address, DIED) as pool:
+            for key, result, failed in pool.each(_outcome, missing.items()):
+                found[key] = result
+                if kept is not None and not failed:
+                    write_json(kept / f"{key}.json", result)
+                done += keys.count(key)
+                if progress is not None:
+                    progress(done, len(runs))
     return [found[key] for key in keys]
-
-
-@contextmanager
-def workers(
-    jobs: int = 1, backend: str = "local", address: str | None = None
-) -> Iterator[Callable[[Callable[[T], R], Iterable[T]], list[R]]]:
-    """A `map` that calls a function on many things at once and gives the answers in their order.
-
-    The workers live as long as the context, so that what they have compiled and planned is kept
-    from one call to the next.
-
-    Args:
-        jobs: Number of processes; with 1, all happens in this one (unless on Ray).
-        backend: One of `BACKENDS`.
-        address: Address of the Ray cluster.
-
-    Raises:
-        OptionError: As `drive_all`.
-        LPVMPCError: Ray is not installed or not reachable, or a worker process died.
-    """
-    from joblib import Parallel, delayed
-    from joblib.externals.loky.process_executor import BrokenProcessPool
-
-    _check_workers(jobs, backend, address)
-    if backend == "local" and jobs == 1:
-        yield lambda function, things: [function(thing) for thing in things]
-        return
-    with _backend(jobs, backend, address), Parallel(batch_size=1, pre_dispatch="all") as parallel:
-        try:
-            yield lambda function, things: parallel(
-                delayed(_undisturbed)(function, thing) for thing in things
-            )
-        except BrokenProcessPool as error:
-            raise LPVMPCError(DIED) from error
-
-
-def _undisturbed(function: Callable[..., R], *arguments: Any) -> R:
-    """Call a function in a worker, which the parent alone tells when to stop."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    return function(*arguments)
-
-
-def _check_workers(jobs: int, backend: str, address: str | None) -> None:
-    if isinstance(jobs, bool) or not isinstance(jobs, int) or jobs < 1:
-        raise OptionError("jobs", jobs, "a whole number from 1")
-    if backend not in BACKENDS:
-        raise OptionError("backend", backend, " or ".join(BACKENDS))
-    if address is not None and backend != "ray":
-        raise OptionError("address", address, "left out unless the backend is 'ray'")
 
 
 def read_result(cache: Path, key: str) -> dict[str, Any] | None:
@@ -317,18 +261,17 @@ def read_result(cache: Path, key: str) -> dict[str, Any] | None:
     return value if isinstance(value, dict) and set(value) == set(KEYS) else None
 
 
-# Where they are driven ----------------------------------------------------------------------------
-
 Outcome = tuple[str, dict[str, Any], bool]
 """Key, result, and whether the run raised."""
 
 
-def _outcome(key: str, run: Run) -> Outcome:
-    """Drive a run and measure it; an error becomes its result.
+def _outcome(item: tuple[str, Run]) -> Outcome:
+    """Drive a run, given with its key, and measure it; an error becomes its result.
 
     Raises:
         KeyboardInterrupt: Ctrl-C, which `simulate` turns into an unfinished Log.
     """
+    key, run = item
     try:
         log = drive(run)
     except LPVMPCError as error:
@@ -338,72 +281,3 @@ def _outcome(key: str, run: Run) -> Outcome:
     if log.meta["reason"] == "interrupted":
         raise KeyboardInterrupt
     return key, metrics(log), False
-
-
-def _here(runs: Mapping[str, Run]) -> Iterator[Outcome]:
-    """One after the other in this process."""
-    for key, run in runs.items():
-        yield _outcome(key, run)
-
-
-def _elsewhere(
-    runs: Mapping[str, Run], jobs: int, backend: str, address: str | None
-) -> Iterator[Outcome]:
-    """In worker processes; yields each outcome as it comes."""
-    from joblib import Parallel, delayed
-    from joblib.externals.loky.process_executor import BrokenProcessPool
-
-    calls = [delayed(_undisturbed)(_outcome, key, run) for key, run in runs.items()]
-    with _backend(jobs, backend, address):
-        if backend == "ray":  # cannot give results one by one: some runs at a time, then
-            with Parallel(batch_size=1) as parallel:
-                for i in range(0, len(calls), 4 * jobs):
-                    yield from parallel(calls[i : i + 4 * jobs])
-            return
-        # one run per message: it takes seconds, and is to be kept as soon as it has ended
-        outcomes = Parallel(return_as="generator_unordered", batch_size=1)(calls)
-        try:
-            yield from outcomes
-        except BrokenProcessPool as error:
-            raise LPVMPCError(DIED) from error
-        finally:
-            outcomes.close()  # after Ctrl-C it also ends what the workers are doing
-
-
-@contextmanager
-def _backend(jobs: int, backend: str, address: str | None) -> Iterator[None]:
-    """Make joblib use processes of this machine, each with one thread, or a Ray cluster."""
-    from joblib import parallel_config
-
-    if backend == "ray":
-        with _ray(address), parallel_config("ray", n_jobs=jobs):
-            yield
-    else:
-        with parallel_config("loky", n_jobs=jobs, inner_max_num_threads=1):
-            yield
-
-
-@contextmanager
-def _ray(address: str | None) -> Iterator[None]:
-    """Ray started or reached, and known to joblib."""
-    try:
-        import ray
-        from ray.util.joblib import register_ray
-    except ImportError:
-        raise LPVMPCError(
-            "The backend 'ray' needs the package ray; install it with: pip install "
-            "'lpvmpc[cluster]'."
-        ) from None
-    register_ray()
-    ours = not ray.is_initialized()
-    if ours:
-        try:
-            ray.init(address=address, log_to_driver=False, include_dashboard=False)
-        except Exception as error:  # Ray raises plain Exceptions too
-            where = "cannot be started" if address is None else f"at {address!r} cannot be reached"
-            raise LPVMPCError(f"Ray {where}: {described(error)}.") from error
-    try:
-        yield
-    finally:
-        if ours:
-            ray.shutdown()

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import csv
-import multiprocessing
-import signal
 import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +14,14 @@ import numpy as np
 
 from lpvmpc.errors import LPVMPCError, OutputError
 from lpvmpc.kit.files import into, write_picture
+from lpvmpc.kit.workers import workers
 from lpvmpc.studies.study import CarUnderTest, Limit, StudyResult, Table, load_study
 
 Progress = Callable[[StudyResult], None]
+
+DIED = (
+    "A process that ran a study was killed, perhaps for want of memory; fewer --jobs need less."
+)
 
 
 def conduct(
@@ -49,42 +51,12 @@ def conduct(
     for name in names:
         load_study(name)
     results = {}
-    for result in _results(names, folder, broken, min(jobs, len(names))):
-        results[result.study] = result
-        if progress is not None:
-            progress(result)
+    with workers(max(min(jobs, len(names)), 1), died=DIED) as pool:
+        for result in pool.each(partial(conduct_one, folder=folder, broken=broken), names):
+            results[result.study] = result
+            if progress is not None:
+                progress(result)
     return [results[name] for name in names]
-
-
-def _results(
-    names: Sequence[str], folder: Path, broken: str | None, jobs: int
-) -> Iterator[StudyResult]:
-    if jobs <= 1:
-        for name in names:
-            yield conduct_one(name, folder, broken)
-        return
-    context = multiprocessing.get_context("spawn")  # a fork would copy compiled code's threads
-    before = multiprocessing.active_children()
-    with ProcessPoolExecutor(jobs, mp_context=context, initializer=_leave_ctrl_c) as pool:
-        try:
-            futures = [pool.submit(conduct_one, name, folder, broken) for name in names]
-            for future in as_completed(futures):
-                yield future.result()
-        except BrokenProcessPool:
-            raise LPVMPCError(
-                "A process that ran a study was killed, perhaps for want of memory; "
-                "fewer --jobs need less."
-            ) from None
-        except BaseException:  # Ctrl-C, or a study's own error: what still runs is not wanted
-            for process in multiprocessing.active_children():
-                if process not in before:
-                    process.terminate()
-            raise
-
-
-def _leave_ctrl_c() -> None:
-    """Ctrl-C reaches all processes of a terminal; the parent alone says when to stop."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def conduct_one(name: str, folder: Path, broken: str | None = None) -> StudyResult:

@@ -282,7 +282,7 @@ def tune(
 
     Args:
         task: What to tune.
-        map: Evaluates a generation, such as one of `batch.workers`.
+        map: Evaluates a generation, such as that of `kit.workers`.
         checkpoint: File that holds the search after each generation; None keeps nothing.
         resume: Go on from the checkpoint, to the same result as without a break.
         after: Called with the stage and its state after each generation.
