@@ -67,7 +67,7 @@ class PointPlant:
     """A car that turns and accelerates exactly as commanded: for rules that need no physics."""
 
     Ts = 0.033
-    params = SimpleNamespace(lf=1.2, lr=1.6)
+    params = SimpleNamespace(lf=1.2, lr=1.6, width=1.8)
     nominal_model = mujoco.MjModel.from_xml_string("<mujoco/>")
     held = Command(0.0, 0.0)
     latency, deviations = 0.0, NOMINAL

@@ -10,6 +10,9 @@ from lpvmpc.errors import OptionError, PathError
 from lpvmpc.plant.mjcf import packaged_car
 from lpvmpc.road import centreline
 from lpvmpc.road.demand import shortfalls, top_speed
+from lpvmpc.road.path import WIDTH, Path
+from lpvmpc.road.scenario import Scenario
+from lpvmpc.road.speed_profile import SpeedProfile
 from lpvmpc.sim.names import load_scenario
 
 ANGLE = np.arange(0.0, 2.0 * math.pi, 0.02)
@@ -81,7 +84,7 @@ def test_corners_are_rounded_as_far_as_the_car_needs_and_that_is_said(road, para
     radius = math.hypot(params.wheelbase / math.tan(params.delta_max), params.lr)
     assert radius < 1.0 / np.abs(scenario.path.kappa).max() < 1.5 * radius
     assert f"by {scenario.path.largest_shift:.2f} m" in scenario.warnings[0]
-    assert scenario.path.largest_shift < centreline.WIDTH
+    assert scenario.path.largest_shift < WIDTH
 
 
 def test_the_smoothing_can_be_set(road):
@@ -136,9 +139,6 @@ def test_a_bend_that_is_too_fast_is_a_warning(road, params):
 
 
 def test_the_limits_are_the_cars(params):
-    from lpvmpc.road.path import Path
-    from lpvmpc.road.speed_profile import SpeedProfile
-
     path = Path.from_curvature([0.01, 0.01], 100.0)
     v = math.sqrt(params.ay_limit / 0.01)
     assert shortfalls(path, SpeedProfile.constant(v, path), params) == []
@@ -184,3 +184,55 @@ def test_a_car_starts_from_rest_and_stops(road, controller):
 def test_a_closed_road_has_no_stop(road):
     with pytest.raises(PathError, match="vx_mps is 0 at an end, but a closed road"):
         road(OVAL, np.where(np.arange(len(OVAL)) == 0, 0.0, 9.0))
+
+
+# Widths -----------------------------------------------------------------------------------------
+
+
+def offset_road(half_width=None):
+    """300 m straight on at 10 m/s."""
+    path = Path.from_curvature(np.zeros(2), 300.0)
+    if half_width is not None:
+        path = Path(np.zeros(2), 300.0, width=half_width)
+    return Scenario(name="straight", path=path, speed=SpeedProfile.constant(10.0, path))
+
+
+class Beside:
+    """Moves to a line beside the path and stays there."""
+
+    def __init__(self, offset):
+        self.offset = offset
+
+    def reset(self, rng): ...
+
+    def command(self, state, preview):
+        return 0.4 * math.atan(0.3 * (self.offset - preview.ey)) - preview.epsi, 0.0
+
+
+def test_a_car_beside_a_narrow_road_has_left_it(point_plant):
+    """The car is 1.8 m wide, the road 1.2 m on either side: 0.3 m of room."""
+    inside = metrics(simulate(point_plant, Beside(0.25), offset_road(1.2)))
+    outside = metrics(simulate(point_plant, Beside(3.0), offset_road(1.2)))
+    assert inside["completed"] and inside["left_road_s"] == 0.0
+    assert outside["completed"] and outside["left_road_s"] > 0.9 * outside["duration_s"]
+    wide = metrics(simulate(point_plant, Beside(3.0), offset_road(6.0)))
+    assert wide["left_road_s"] == 0.0
+
+
+def test_a_corner_of_a_turned_car_may_leave_the_road_first(point_plant):
+    log = simulate(point_plant, Beside(0.0), offset_road(1.2))
+    assert metrics(log)["left_road_s"] == 0.0
+    # the corners of the rear axle swing out: 1.6 sin 0.25 + 0.9 cos 0.25 = 1.27 m
+    log.columns["epsi_rad"][7:9] = 0.25, -0.25
+    assert metrics(log)["left_road_s"] == pytest.approx(2 * 0.033)
+    log.columns["epsi_rad"][7:9] = 0.1, -0.19  # the rear's again: 1.06 and 1.19 m
+    assert metrics(log)["left_road_s"] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("half_width", "offset", "lost"),
+    [(None, 6.0, 5.0), (1.2, 6.0, 5.0), (6.0, 6.0, None), (6.0, 9.0, 8.0)],
+)
+def test_a_car_is_lost_beyond_the_verge_of_its_road(point_plant, half_width, offset, lost):
+    log = simulate(point_plant, Beside(offset), offset_road(half_width))
+    assert log.meta["reason"] == (f"off the path: |ey| > {lost:g} m" if lost else "")

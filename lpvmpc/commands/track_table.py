@@ -40,7 +40,9 @@ def print_table(result: dict[str, Any], log: Log) -> None:
     for label, ours, paper in rows(result, log):
         table.add_row(label, ours, *([paper] if beside else []))
     console.print(table)
-    if result["completed"]:
+    if result["completed"] and result["left_road_s"] and log.scenario.path.has_widths:
+        console.print(f"Completed, but {result['left_road_s']:.2f} s off the road.", style="yellow")
+    elif result["completed"]:
         console.print("Completed.", style="green")
     else:
         console.print(f"Not completed: {result['reason']}.", style="red")
@@ -68,6 +70,8 @@ def rows(result: dict[str, Any], log: Log) -> Iterator[tuple[str, str, str]]:
     yield "speed error, RMSE", *number("speed_rmse_mps", "m/s")
     yield "speed error, largest", *number("speed_max_mps", "m/s")
     yield "lateral acceleration, largest", *number("lateral_acc_max_mps2", "m/s2", 2)
+    if result["left_road_s"] or log.scenario.path.has_widths:
+        yield "time off the road", *number("left_road_s", "s", 2)
     yield "distance driven", *number("distance_m", "m", 1)
     yield "duration", *number("duration_s", "s", 2)
     yield "duration of the reference", *number("reference_duration_s", "s", 2)

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lpvmpc.errors import OptionError, PathError
-from lpvmpc.road.path import GRID, MAX_POINTS, Path
+from lpvmpc.road.path import GRID, MAX_POINTS, WIDTH, Path
 from lpvmpc.units import Array
 
 SMOOTHING = 25.0
@@ -37,8 +37,6 @@ BAD_MOST = 20
 MIN_POINTS = 5
 MIN_LENGTH = 10.0
 """Shorter roads than this [m] are over before the car has settled."""
-WIDTH = 3.5
-"""Half width where a file gives none [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +111,7 @@ def fit(
     drivable: tuple[float, _Curve, Array] | None = None
     while True:
         curve = _fit(xy, closed, cut_off, grid)
-        path = curve.path(WIDTH, WIDTH)
+        path = curve.path()
         feet = np.array(
             [path.project(x, y, near) for (x, y), near in zip(xy, curve.u, strict=True)]
         )
@@ -128,7 +126,7 @@ def fit(
             drivable = cut_off, curve, feet
         cut_off = max(0.8 * cut_off, SHORTEST)
     right, left = (
-        WIDTH
+        None
         if width is None
         else np.interp(path.s, feet[:, 0], width[: len(xy)], period=path.length if closed else None)
         for width in widths
@@ -267,7 +265,7 @@ class _Curve:
     u: Array
 
     def path(
-        self, right: npt.ArrayLike = WIDTH, left: npt.ArrayLike = WIDTH, shift: float = 0.0
+        self, right: Array | None = None, left: Array | None = None, shift: float = 0.0
     ) -> Path:
         x0, y0, psi0 = self.start
         return Path(

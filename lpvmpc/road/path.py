@@ -27,6 +27,9 @@ GRID = 0.2
 MAX_POINTS = 2_000_000
 """More grid points than this is a mistake in units (400 km at the default spacing)."""
 
+WIDTH = 3.5
+"""Half width of a road that states none [m]."""
+
 
 class Path:
     """A planar curve of piecewise-linear curvature.
@@ -43,6 +46,7 @@ class Path:
         turn: Change of heading over the whole path [rad]; a multiple of 2 pi on closed paths.
         width_right: Distance from the path to the right road edge [m], shape (n + 1,).
         width_left: The same to the left [m].
+        has_widths: Whether the road states its widths; else they are `WIDTH`.
         largest_shift: How far smoothing moved a point it was made from [m]; 0 without smoothing.
     """
 
@@ -55,7 +59,7 @@ class Path:
         y0: float = 0.0,
         psi0: float = 0.0,
         closed: bool = False,
-        width: float | tuple[npt.ArrayLike, npt.ArrayLike] = 3.5,
+        width: float | tuple[npt.ArrayLike | None, npt.ArrayLike | None] | None = None,
         largest_shift: float = 0.0,
     ) -> None:
         """Integrate the curvature given on a uniform grid.
@@ -70,7 +74,8 @@ class Path:
             y0: Start [m].
             psi0: Start heading [rad].
             closed: Whether the path ends where and how it starts.
-            width: Half width of the road [m], or the widths (right, left) on the grid.
+            width: Half width of the road [m], or the widths (right, left) on the grid; None
+                where it states none.
             largest_shift: See the class.
 
         Raises:
@@ -95,9 +100,12 @@ class Path:
         self._table.flags.writeable = False
         self.x, self.y, self.psi, self.kappa = self._table.T
         self.turn = float(psi[-1] - psi[0])
-        right, left = width if isinstance(width, tuple) else (width, width)
-        self.width_right = np.broadcast_to(np.asarray(right, dtype=float), (n + 1,))
-        self.width_left = np.broadcast_to(np.asarray(left, dtype=float), (n + 1,))
+        sides = width if isinstance(width, tuple) else (width, width)
+        self.has_widths = any(side is not None for side in sides)
+        self.width_right, self.width_left = (
+            np.broadcast_to(np.asarray(WIDTH if side is None else side, dtype=float), (n + 1,))
+            for side in sides
+        )
         self.largest_shift = float(largest_shift)
 
     def _close(self, kappa: Array, psi0: float) -> Array:
@@ -194,6 +202,11 @@ class Path:
             self._table, self.spacing, self.closed, np.ascontiguousarray(s).ravel()
         )
         return tuple(column.reshape(s.shape) for column in out)  # type: ignore[return-value]
+
+    def width_at(self, s: float, ey: float) -> float:
+        """Width of the road [m] at an arc length [m], on the side to which ey [m] points."""
+        width = self.width_left if ey > 0.0 else self.width_right
+        return float(np.interp(s, self.s, width, period=self.length if self.closed else None))
 
     def project(self, x: float, y: float, s_prev: float) -> tuple[float, float]:
         """Foot of the perpendicular from a point, searched from the previous one.

@@ -218,7 +218,7 @@ def _with_ends(path: Path, closed: bool, name: str) -> Path:
         x0=float(path.x[0]),
         y0=float(path.y[0]),
         psi0=float(path.psi[0]),
-        width=(path.width_right, path.width_left),
+        width=(path.width_right, path.width_left) if path.has_widths else None,
         largest_shift=path.largest_shift,
     )
 

@@ -116,7 +116,7 @@ def from_segments(
     segments: Sequence[tuple[float | None, float]],
     *,
     closed: bool = False,
-    width: float = 3.5,
+    width: float | None = None,
     grid: float = GRID,
 ) -> Path:
     """Path along segments, starting straight at the origin along x.
@@ -125,7 +125,7 @@ def from_segments(
         segments: Lengths [m] and end curvatures [1/m]; on a closed road two straights may have
             length None.
         closed: Whether the road is a circuit.
-        width: Half width of the road [m].
+        width: Half width of the road [m]; None where it states none.
         grid: Largest spacing of the fine grid [m]; ends of segments are met within half a cell.
 
     Raises:
@@ -148,7 +148,7 @@ def from_graph(
     derivatives: Callable[[Array], tuple[Array, Array]],
     x_end: float,
     *,
-    width: float = 3.5,
+    width: float | None = None,
     grid: float = GRID,
 ) -> Path:
     """Path along a curve y(x) that starts straight at the origin along x.
@@ -158,7 +158,7 @@ def from_graph(
     Args:
         derivatives: First and second derivative of y at x, each of the shape of x.
         x_end: Where it ends [m].
-        width: Half width of the road [m].
+        width: Half width of the road [m]; None where it states none.
         grid: Largest spacing of the fine grid [m].
     """
     x = np.linspace(0.0, x_end, 20 * math.ceil(x_end / grid) + 1)

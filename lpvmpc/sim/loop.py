@@ -39,7 +39,9 @@ if TYPE_CHECKING:
     from lpvmpc.road.scenario import Scenario
 
 EY_LOST = 5.0
-"""A car further than this from the path has lost it [m]."""
+"""A car further than this from the path has lost it [m], unless the road itself is wider."""
+VERGE = 2.0
+"""A car further than this beyond the edge of the road has lost it [m]."""
 EPSI_LOST = math.pi / 2.0
 """A car turned further than this from the path has lost it [rad]."""
 STUCK_SPEED = 0.5
@@ -180,7 +182,7 @@ class _Loop:
             self.s_end, self.duration = s, t
             standing = state.vx < STUCK_SPEED < preview.vx_ref[0]
             stuck = stuck + 1 if standing else 0
-            reason = self._lost(preview.ey, preview.epsi, t, stuck * Ts)
+            reason = self._lost(preview, t, stuck * Ts)
             if reason:  # this instant counts, with the command that led to it
                 self._record(t, state, preview, held, None)
                 return reason
@@ -205,6 +207,7 @@ class _Loop:
 
     def meta(self, reason: str, wall_s: float) -> dict[str, Any]:
         """What is recorded beside the columns."""
+        car = self.plant.params
         return {
             "scenario": self.scenario.name,
             "controller": self.about.name,
@@ -219,6 +222,7 @@ class _Loop:
             "duration_s": self.duration,
             "reference_duration_s": self.scenario.reference_duration,
             "has_qp": self.has_qp,
+            "footprint_m": (car.lf, car.lr, car.width),
             "wall_s": wall_s,
             "realtime_factor": self.duration / wall_s,
             "versions": versions(),
@@ -247,11 +251,14 @@ class _Loop:
             self.friction[:2], self.friction[2:] = front, rear
             self.plant.friction = self.grip * self.friction
 
-    def _lost(self, ey: float, epsi: float, t: float, stood: float) -> str:
+    def _lost(self, preview: Preview, t: float, stood: float) -> str:
         """Why the run cannot go on, or ""."""
+        ey, path = preview.ey, self.scenario.path
         if abs(ey) > EY_LOST:
-            return f"off the path: |ey| > {EY_LOST:g} m"
-        if abs(epsi) > EPSI_LOST:
+            room = path.width_at(preview.s, ey) + VERGE if path.has_widths else 0.0
+            if abs(ey) > room:
+                return f"off the path: |ey| > {max(EY_LOST, room):.3g} m"
+        if abs(preview.epsi) > EPSI_LOST:
             return "spun: |epsi| > pi/2"
         if self.plant.rolled_over:
             return "rolled over"

@@ -6,6 +6,9 @@ the first; an RMSE is the plain root of the mean square over those instants.
 - lateral: ey, the signed distance to the path; heading: epsi = psi - psi_path, wrapped;
   course: epsi + atan2(vy, vx), the direction of motion against the path's; speed: vx - vx_ref.
 - distance: length of the driven line; s_end: arc length reached along the path.
+- left road: the time of those instants at which a corner of the car is beyond the road's edge. The
+  corners are those of the rectangle from axle to axle, as wide as the body. A road that states no
+  widths counts as `lpvmpc.road.path.WIDTH` wide on either side.
 - step time: thread CPU time of the controller's `command` [us].
 """
 
@@ -41,6 +44,7 @@ KEYS = (
     "speed_rmse_mps",
     "speed_max_mps",
     "lateral_acc_max_mps2",
+    "left_road_s",
     "step_time_us",
     "qp",
     "wall_s",
@@ -77,10 +81,35 @@ def metrics(log: Log) -> dict[str, Any]:
         "speed_rmse_mps": rms(speed_error),
         "speed_max_mps": largest(speed_error),
         "lateral_acc_max_mps2": largest(c["ay_mps2"]),
+        "left_road_s": left_road_time(log),
         "step_time_us": step_times(log.timing["step_us"]),
         "qp": solver_record(log),
     }
     return {key: values[key] for key in KEYS}
+
+
+def left_road_time(log: Log) -> float | None:
+    """Time for which a corner of the car was beyond the road's edge [s].
+
+    A corner a ahead of the centre of mass and b to its left is at, to second order in a,
+      a sin(epsi) + b cos(epsi) - kappa a^2 / 2 + ey
+    beside the path; a is lf or -lr, b half the body's width or its negative.
+    """
+    if "footprint_m" not in log.meta:  # no car has driven
+        return None
+    c, path = log.columns, log.scenario.path
+    lf, lr, width = log.meta["footprint_m"]
+    period = path.length if path.closed else None
+    right, left = (
+        np.interp(c["s_m"], path.s, side, period=period)
+        for side in (path.width_right, path.width_left)
+    )
+    beyond = np.zeros(len(log), dtype=bool)
+    for a in (lf, -lr):
+        axle = c["ey_m"] + a * np.sin(c["epsi_rad"]) - 0.5 * c["kappa_radpm"] * a**2
+        half = 0.5 * width * np.abs(np.cos(c["epsi_rad"]))
+        beyond |= (axle + half > left) | (axle - half < -right)
+    return float(log.meta["Ts"] * np.count_nonzero(beyond))
 
 
 def wrap(angle: Array) -> Array:
