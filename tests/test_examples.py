@@ -1,0 +1,33 @@
+"""Every example runs as it is, and says what its README says it shows."""
+
+import re
+import runpy
+from pathlib import Path
+
+import pytest
+
+FOLDER = Path(__file__).parents[1] / "examples"
+SAYS = {
+    "change_a_weight": r"q_ey .*\n(.* mm .* rad/s\n){3}",
+    "compare_two": r"double-lane-change, 186 m +lpv-mpc +stanley\n",
+    "own_controller": r"^lateral error: RMSE \d+ mm, largest \d+ mm\n$",
+    "own_track": r"completed: True, largest lateral error 0\.\d mm",
+    "read_trace": r"849 control periods, .* columns:\n",
+    "wind_batch": r"\nlpv-mpc +0\.0( +\d+\.\d){3}\nstanley +0\.0( +\d+\.\d){3}\n",
+}
+"""What each must print."""
+
+
+@pytest.mark.parametrize("name", sorted(file.stem for file in FOLDER.glob("*.py")))
+def test_an_example_runs(name, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    runpy.run_path(str(FOLDER / f"{name}.py"), run_name="__main__")
+    out, err = capsys.readouterr()
+    assert err == "" and re.search(SAYS[name], out), out
+
+
+def test_the_readme_lists_them_all_and_each_is_short():
+    listed = re.findall(r"^\| \[(\w+)\.py\]", (FOLDER / "README.md").read_text(), re.M)
+    assert sorted(listed) == sorted(file.stem for file in FOLDER.glob("*.py"))
+    for file in FOLDER.glob("*.py"):
+        assert len(file.read_text().splitlines()) < 60, file.name
