@@ -4,6 +4,7 @@ import time
 
 import numpy as np
 import pytest
+from safetensors import numpy as numpy_files
 
 from lpvmpc.car import bicycle
 from lpvmpc.car.bicycle import AF, AR, DELTA, NX, PHI, VX, A, R
@@ -369,7 +370,6 @@ def test_models_refuse_each_others_weights(car):
 
 
 def test_the_file_format_is_safetensors(tmp_path):
-    numpy_files = pytest.importorskip("safetensors.numpy")
     arrays = {"a": np.arange(6.0).reshape(2, 3), "b": np.array([1, 2]), "c": np.float32([3.5])}
     safetensors.write(tmp_path / "x.safetensors", arrays, {"k": "v"})
     theirs = numpy_files.load_file(tmp_path / "x.safetensors")
