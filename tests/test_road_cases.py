@@ -236,3 +236,74 @@ def test_a_corner_of_a_turned_car_may_leave_the_road_first(point_plant):
 def test_a_car_is_lost_beyond_the_verge_of_its_road(point_plant, half_width, offset, lost):
     log = simulate(point_plant, Beside(offset), offset_road(half_width))
     assert log.meta["reason"] == (f"off the path: |ey| > {lost:g} m" if lost else "")
+
+
+# Laps and starts beside the road ----------------------------------------------------------------
+
+
+class OnCircle:
+    """Steers the point car along a circle of 20 m radius."""
+
+    def reset(self, rng): ...
+
+    def command(self, state, preview):
+        return math.atan(2.8 * (0.05 - 0.02 * preview.ey - 0.2 * preview.epsi)), 0.0
+
+
+@pytest.fixture
+def circle():
+    path = Path(np.full(629, 0.05), 40.0 * math.pi, closed=True)
+    return Scenario(name="circle", path=path, speed=SpeedProfile.constant(10.0, path))
+
+
+def test_several_laps_are_driven_and_timed(point_plant, circle):
+    log = simulate(point_plant, OnCircle(), circle, laps=3)
+    result = metrics(log)
+    lap = circle.reference_duration
+    assert result["completed"] and result["s_end_m"] == pytest.approx(3 * circle.path.length)
+    assert result["reference_duration_s"] == pytest.approx(3 * lap)
+    assert len(result["lap_times_s"]) == 3
+    assert sum(result["lap_times_s"]) == pytest.approx(result["duration_s"], abs=1e-12)
+    np.testing.assert_allclose(result["lap_times_s"], lap, rtol=0.01)  # steps of 0.33 m cut a chord
+    assert log.meta["options"] == {"delay": 0, "laps": 3}
+    once = simulate(point_plant, OnCircle(), circle)
+    assert metrics(once)["lap_times_s"] == [once.meta["duration_s"]]
+    assert "laps" not in once.meta["options"]
+    open_road = offset_road()
+    assert metrics(simulate(point_plant, OnCircle(), open_road))["lap_times_s"] == []
+
+
+def test_laps_that_are_none_are_refused(point_plant, circle):
+    for laps in (0, -1, 1.5, True, 101):
+        with pytest.raises(OptionError, match="laps is"):
+            simulate(point_plant, OnCircle(), circle, laps=laps)
+    with pytest.raises(OptionError, match="straight is not closed"):
+        simulate(point_plant, OnCircle(), offset_road(), laps=2)
+
+
+@pytest.mark.parametrize("start", [(1.0, 0.0), (-0.5, 0.2), (0.0, -0.1)])
+def test_a_start_beside_the_road_is_where_it_was_asked_for(plant, start):
+    log = simulate(plant, load_controller("stanley"), load_scenario("circuit"), start_offset=start,
+                   progress=stop_after(3))  # fmt: skip
+    c = log.columns
+    course = c["epsi_rad"][0] + math.atan2(c["vy_mps"][0], c["vx_mps"][0])
+    assert (c["ey_m"][0], course) == pytest.approx(start, abs=1e-9)
+    assert c["s_m"][0] == pytest.approx(0.0, abs=1e-9)
+    assert log.meta["options"]["start_offset"] == list(start)
+
+
+def stop_after(calls):
+    """A progress callback that ends a run as Ctrl-C does."""
+    left = iter(range(calls))
+
+    def progress(fraction):
+        if next(left, None) is None:
+            raise KeyboardInterrupt
+
+    return progress
+
+
+@pytest.mark.parametrize("start", [(6.0, 0.0), (0.0, 1.6), (math.nan, 0.0), (1.0,), "ab"])
+def test_a_start_that_is_lost_at_once_is_refused(point_plant, circle, start):
+    with pytest.raises(OptionError, match="start_offset is"):
+        simulate(point_plant, OnCircle(), circle, start_offset=start)

@@ -144,6 +144,11 @@ PARAMETERS = [
     (["--step-timeout", "0"], "--step-timeout is 0.0"),
     (["--stiffness", "oracl"], "--stiffness is 'oracl', but must be one of constant, network"),
     (["--smoothing", "5"], "smoothing is 5.0, but must be left out: paper is made of no points"),
+    (["--laps", "0"], "laps is 0, but must be a whole number from 1 to 100"),
+    (["--laps", "2"], "laps is 2, but must be 1: the road of paper is not closed"),
+    (["--start-offset", "6", "0"], "start_offset is (6.0, 0.0), but must be two numbers, ey from"),
+    (["--start-offset", "0", "nan"], "start_offset is (0.0, nan)"),
+    (["--start-offset", "1"], "--start-offset"),
     (["--absent"], "Unrecognized options: --absent"),
 ]
 

@@ -82,6 +82,10 @@ class Options:
     smoothing: Number = None
     """Wavelength below which the points of a CSV track are smoothed [m] (default: 25, and less
     where that would cut a corner)."""
+    start_offset: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="EY EPSI")] = None
+    """Start beside the reference: distance to its left [m] and turn to the left [rad]."""
+    laps: int = 1
+    """Laps of a closed track."""
     weights: File = None
     """Weights of the controller, a TOML file as eval/tune.py writes it (default: the package's)."""
     delay: int = 0
@@ -98,9 +102,12 @@ def main(options: Options) -> int:
     check(options)
     cli.check_opengl()
     from lpvmpc import Plant, load_controller, load_scenario, simulate
+    from lpvmpc.sim.loop import check_start
     from lpvmpc.sim.metrics import metrics
 
     scenario = load_scenario(options.scenario, **scenario_options(options))
+    offset = options.start_offset or (0.0, 0.0)
+    check_start(scenario, options.laps, offset)
     own = ":" in options.controller
     controller = load_controller(options.controller, **controller_options(options, own))
     plant = Plant()
@@ -122,6 +129,8 @@ def main(options: Options) -> int:
             controller,
             scenario,
             seed=options.seed,
+            laps=options.laps,
+            start_offset=offset,
             delay=options.delay,
             step_timeout=options.step_timeout or (USER_TIMEOUT if own else None),
             progress=progress,

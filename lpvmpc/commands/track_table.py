@@ -75,6 +75,11 @@ def rows(result: dict[str, Any], log: Log) -> Iterator[tuple[str, str, str]]:
     yield "distance driven", *number("distance_m", "m", 1)
     yield "duration", *number("duration_s", "s", 2)
     yield "duration of the reference", *number("reference_duration_s", "s", 2)
+    laps = result["lap_times_s"]
+    if len(laps) > 1:
+        yield "lap times", ", ".join(f"{lap:.2f}" for lap in laps[:5]) + " s" + (
+            f" ... {laps[-1]:.2f} s" if len(laps) > 5 else ""
+        ), ""
     qp, step = result["qp"], result["step_time_us"]
     if qp["solved"] + qp["fallback"]:
         solve = log.timing["solve_us"]

@@ -63,6 +63,10 @@ class Run:
     road: float | tuple[tuple[float, float], ...] = 1.0
     """Friction that nobody announces, times what the scenario says: a factor, or pairs of arc
     length [m] and factor, linear between."""
+    laps: int = 1
+    """Number of laps of a closed track."""
+    start_offset: tuple[float, float] = (0.0, 0.0)
+    """Where the car starts beside the reference: ey [m] and epsi [rad]."""
     delay: int = 0
     """Periods after which a command reaches the car; what the controller is told of it is among
     its options."""
@@ -154,6 +158,8 @@ def drive(run: Run) -> Log:
         controller,
         scenario_of(run),
         seed=run.seed,
+        laps=run.laps,
+        start_offset=run.start_offset,
         delay=run.delay,
         latency=run.latency,
         deviations=deviations.named(run.deviations),

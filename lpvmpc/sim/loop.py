@@ -52,6 +52,8 @@ TIME_FACTOR = 2.0
 """A run of more than this many times the reference's duration is given up."""
 MAX_DELAY = 30
 """Longest delay of the commands [control periods], one second."""
+MAX_LAPS = 100
+"""Most laps of one run: all of them are kept in memory."""
 
 Progress = Callable[[float], None]
 
@@ -62,6 +64,8 @@ def simulate(
     scenario: Scenario,
     *,
     seed: int = 0,
+    laps: int = 1,
+    start_offset: tuple[float, float] = (0.0, 0.0),
     delay: int = 0,
     latency: float = 0.0,
     deviations: Deviations | None = None,
@@ -73,7 +77,7 @@ def simulate(
     """Drive a scenario from its start to its end, or until the car is lost.
 
     The car starts trimmed on the reference: at its speed, curvature and wind, everything settled.
-    A closed track is driven for one whole lap. Ctrl-C ends the run early; the Log then holds what
+    A closed track is driven for whole laps. Ctrl-C ends the run early; the Log then holds what
     was recorded until then, with `meta["reason"] == "interrupted"`.
 
     Args:
@@ -81,6 +85,9 @@ def simulate(
         controller: Anything with `reset(rng)` and `command(state, preview)`; see `controllers`.
         scenario: Path, speed, wind and friction.
         seed: Seed of the generator given to the controller.
+        laps: Number of laps, 1 to `MAX_LAPS`; more than one on closed tracks only.
+        start_offset: Where the car starts beside the reference: ey [m], left positive, and its
+            course against the path's, epsi [rad].
         delay: Number of control periods after which a command reaches the car, 0 to `MAX_DELAY`;
             until then it holds the trimmed command.
         latency: Time that passes besides, in physics steps, before a command reaches the car [s],
@@ -103,6 +110,7 @@ def simulate(
         raise OptionError("seed", seed, "a whole number from 0")
     if type(delay) is not int or not 0 <= delay <= MAX_DELAY:
         raise OptionError("delay", delay, f"a whole number from 0 to {MAX_DELAY}")
+    check_start(scenario, laps, start_offset)
     if step_timeout is not None and not (math.isfinite(step_timeout) and step_timeout > 0.0):
         raise OptionError("step_timeout", step_timeout, "a positive number of seconds")
     Ts = plant.Ts
@@ -115,7 +123,7 @@ def simulate(
     plant.latency = latency
     if deviations is not None:
         plant.deviations = deviations
-    loop = _Loop(plant, controller, scenario, about, delay, step_timeout)
+    loop = _Loop(plant, controller, scenario, about, delay, step_timeout, laps, start_offset)
     wall = time.perf_counter()
     try:
         with loop.limit.installed():
@@ -128,9 +136,33 @@ def simulate(
         plant.latency, plant.deviations = before
     wall = time.perf_counter() - wall
     meta = loop.meta(reason, wall)
+    if laps != 1:
+        meant["laps"] = laps
+    if tuple(start_offset) != (0.0, 0.0):
+        meant["start_offset"] = [float(value) for value in start_offset]
     told = {"delay": delay, **{name: value for name, value in meant.items() if value}}
     meta.update(seed=seed, options={**told, **(options or {})})
     return loop.recorder.log(meta, scenario, about.weights)
+
+
+def check_start(scenario: Scenario, laps: int, start_offset: tuple[float, float]) -> None:
+    """Refuse laps that the road has not, and starts from which the car would be lost at once.
+
+    Raises:
+        OptionError: What is wrong with which of them.
+    """
+    if type(laps) is not int or not 1 <= laps <= MAX_LAPS:
+        raise OptionError("laps", laps, f"a whole number from 1 to {MAX_LAPS}")
+    if laps > 1 and not scenario.path.closed:
+        raise OptionError("laps", laps, f"1: the road of {scenario.name} is not closed")
+    try:
+        ey, epsi = (float(value) for value in start_offset)
+    except (TypeError, ValueError):
+        ey = epsi = math.nan
+    if not (abs(ey) <= EY_LOST and abs(epsi) < EPSI_LOST):
+        raise OptionError("start_offset", start_offset,
+                          f"two numbers, ey from {-EY_LOST:g} to {EY_LOST:g} m and epsi between "
+                          "-pi/2 and pi/2 rad")  # fmt: skip
 
 
 class _Loop:
@@ -144,12 +176,17 @@ class _Loop:
         about: Declared,
         delay: int,
         step_timeout: float | None,
+        laps: int,
+        start_offset: tuple[float, float],
     ):
         self.plant, self.controller, self.scenario = plant, controller, scenario
         self.about = about
         self.limit = TimeLimit(step_timeout, about.name)
         self.delay = delay
-        self.time_limit = TIME_FACTOR * scenario.reference_duration
+        self.length = laps * scenario.path.length
+        self.start_offset = start_offset
+        self.reference_duration = laps * scenario.reference_duration
+        self.time_limit = TIME_FACTOR * self.reference_duration
         rows = math.ceil(self.time_limit / plant.Ts) + 2
         self.recorder = Recorder(rows, about.Np, len(plant.qpos))
         self.grip = np.array(plant.friction)  # the plant's own, which the road's multiplies
@@ -157,11 +194,12 @@ class _Loop:
         self.friction = np.ones(4)  # of the road under the wheels
         self.has_qp = False
         self.s_end = self.duration = 0.0
+        self.lap_ends: list[float] = []  # when the start line was crossed [s]
 
     def run(self, seed: int, progress: Progress | None) -> str:
         """Drive; returns why the run ended early, "" at the end of the path."""
         plant, scenario, controller = self.plant, self.scenario, self.controller
-        path, Ts, length = scenario.path, plant.Ts, scenario.path.length
+        path, Ts, length = scenario.path, plant.Ts, self.length
         state = self._start()
         self.limit.call("reset", 0.0, controller.reset, np.random.default_rng(seed))
         held = plant.held
@@ -175,10 +213,13 @@ class _Loop:
                 self.about.preview_steps, Ts,
             )
             s = preview.s
-            if s >= length:  # the end lies between the last instant and this one
-                self.s_end = length
-                self.duration = t - Ts * (s - length) / (s - s_before)
-                return ""
+            line = (len(self.lap_ends) + 1) * path.length
+            if s >= line:  # the line lies between the last instant and this one
+                crossed = t - Ts * (s - line) / (s - s_before)
+                self.lap_ends.append(crossed)
+                if s >= length:
+                    self.s_end, self.duration = length, crossed
+                    return ""
             self.s_end, self.duration = s, t
             standing = state.vx < STUCK_SPEED < preview.vx_ref[0]
             stuck = stuck + 1 if standing else 0
@@ -220,7 +261,8 @@ class _Loop:
             "reason": reason,
             "s_end_m": self.s_end,
             "duration_s": self.duration,
-            "reference_duration_s": self.scenario.reference_duration,
+            "reference_duration_s": self.reference_duration,
+            "lap_times_s": np.diff([0.0, *self.lap_ends]).tolist(),
             "has_qp": self.has_qp,
             "footprint_m": (car.lf, car.lr, car.width),
             "wall_s": wall_s,
@@ -232,13 +274,17 @@ class _Loop:
     def _start(self) -> State:
         """The car on the start line, trimmed at the reference's speed, curvature and wind.
 
-        It moves along the path, so in a side wind its axis points a little to windward.
+        It moves along the path, so in a side wind its axis points a little to windward; beside the
+        path or across it where that is asked for.
         """
         scenario = self.scenario
         x, y, psi, kappa = (float(value) for value in scenario.path.at(0.0))
         self._lay_road(0.0)
         wind = scenario.wind.velocity(0.0, 0.0, psi)
         vx = scenario.speed.start
+        ey, epsi = self.start_offset
+        if ey or epsi:
+            x, y, psi = x - ey * math.sin(psi), y + ey * math.cos(psi), psi + epsi
         return self.plant.reset(x, y, psi, vx, kappa=kappa, wind=wind, align="course")
 
     def _lay_road(self, s: float) -> None:

@@ -9,6 +9,7 @@ the first; an RMSE is the plain root of the mean square over those instants.
 - left road: the time of those instants at which a corner of the car is beyond the road's edge. The
   corners are those of the rectangle from axle to axle, as wide as the body. A road that states no
   widths counts as `lpvmpc.road.path.WIDTH` wide on either side.
+- lap times: from crossing to crossing of a closed track's start line, complete laps only.
 - step time: thread CPU time of the controller's `command` [us].
 """
 
@@ -45,6 +46,7 @@ KEYS = (
     "speed_max_mps",
     "lateral_acc_max_mps2",
     "left_road_s",
+    "lap_times_s",
     "step_time_us",
     "qp",
     "wall_s",
@@ -82,6 +84,7 @@ def metrics(log: Log) -> dict[str, Any]:
         "speed_max_mps": largest(speed_error),
         "lateral_acc_max_mps2": largest(c["ay_mps2"]),
         "left_road_s": left_road_time(log),
+        "lap_times_s": meta.get("lap_times_s", []) if log.scenario.path.closed else [],
         "step_time_us": step_times(log.timing["step_us"]),
         "qp": solver_record(log),
     }
