@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from lpvmpc.car import tire
+from lpvmpc.car import magic_formula as mf
 from lpvmpc.car.aero import aero_wrench
 from lpvmpc.errors import LPVMPCError
 from lpvmpc.plant import callbacks, structs
@@ -82,7 +82,7 @@ def test_native_forces_are_those_of_the_tire_law(model, moving):
     for i in range(4):
         c = numeric(model, "tire_f" if i < 2 else "tire_r")
         scale = 1.0 + moving.userdata[callbacks.FRICTION + i]
-        Fx, Fy, _ = tire.forces(
+        Fx, Fy, _ = mf.forces(
             c,
             outputs(moving, callbacks.SLIP_RATIO)[i],
             math.tan(outputs(moving, callbacks.SLIP_ANGLE)[i]),
@@ -114,7 +114,7 @@ def test_passive_forces_are_the_jacobian_transpose_of_the_contact_forces(model, 
         Fx, Fy, Fz = (outputs(d, k)[i] for k in (callbacks.FX, callbacks.FY, callbacks.FZ))
         scale = 1.0 + d.userdata[callbacks.FRICTION + i]
         tan_alpha = math.tan(outputs(d, callbacks.SLIP_ANGLE)[i])
-        Mz = -tire.pneumatic_trail(c, tan_alpha / scale, Fz) * Fy
+        Mz = -mf.pneumatic_trail(c, tan_alpha / scale, Fz) * Fy
         # acting on the knuckle: what turns the wheel itself is tested below
         mujoco.mj_jac(model, d, jacp, jacr, point, model.body(f"knuckle_{wheel}").id)
         expected += jacp.T @ (Fx * heading + Fy * left + [0, 0, Fz]) + jacr.T @ [0, 0, Mz]

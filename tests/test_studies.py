@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lpvmpc.car import tire
+from lpvmpc.car import magic_formula as mf
 from lpvmpc.car.bicycle import CORRECTED, NX, Bicycle, lpv
 from lpvmpc.errors import LPVMPCError, UnknownNameError
 from lpvmpc.plant.mjcf import parameters
@@ -214,7 +214,7 @@ def test_golden_values_belong_to_the_cars_tires(car):
     stored = golden_tire.read()["coefficients"]
     for name, c in zip(("front", "rear"), car.tires, strict=True):
         # else: python -m lpvmpc.studies.reference.golden_tire
-        assert (tire.coefficients(stored[name]) == c).all()
+        assert (mf.coefficients(stored[name]) == c).all()
 
 
 def test_the_transfer_function_is_the_controllers_model(car):
@@ -313,5 +313,5 @@ def test_relative_error_is_the_largest():
 def test_a_plant_of_the_car_is_a_plant(car):
     plant = car.plant(Ts=0.01, timestep=0.0005, friction=0.5)
     assert isinstance(plant, Plant) and plant.nstep == 20
-    plant.model.numeric("tire_f").data[tire.QDZ1] = 7.0
-    assert car.plant_tires()[0][tire.QDZ1] != 7.0  # each plant has its own copy
+    plant.model.numeric("tire_f").data[mf.QDZ1] = 7.0
+    assert car.plant_tires()[0][mf.QDZ1] != 7.0  # each plant has its own copy

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from lpvmpc.car import tire
+from lpvmpc.car import magic_formula as mf
 from lpvmpc.car.tir import read_tir
 from lpvmpc.errors import DataError
 
@@ -23,7 +23,7 @@ LMUY = 0.5 $ user
 
 def write(path, text=TEXT, without=(), **changes):
     given = ("FNOMIN", "R0", "KZ", "CZ", "QSY1")
-    values = {name: 1.0 for name in tire.COEFFICIENTS if name not in given} | changes
+    values = {name: 1.0 for name in mf.COEFFICIENTS if name not in given} | changes
     lines = (f"{k} = {v}  ! text" for k, v in values.items() if k not in without)
     path.write_text(text + "\n".join(lines))
     return path
@@ -31,13 +31,13 @@ def write(path, text=TEXT, without=(), **changes):
 
 def test_a_file_is_read_with_its_scaling_factors(tmp_path):
     c = read_tir(write(tmp_path / "a.tir", PKY1=-12.5, PDY1=0.9, PCX1=1.55))
-    assert c[tire.R0] == 0.376
-    assert c[tire.FNOMIN] == 3800
-    assert c[tire.KZ] == 175000
-    assert c[tire.PKY1] == 12.5  # positive in this package's sign of the slip angle
-    assert c[tire.PDY1] == 0.45  # times LMUY
-    assert c[tire.PCX1] == 1.55
-    assert c[tire.QSY1] == 0.0  # optional
+    assert c[mf.R0] == 0.376
+    assert c[mf.FNOMIN] == 3800
+    assert c[mf.KZ] == 175000
+    assert c[mf.PKY1] == 12.5  # positive in this package's sign of the slip angle
+    assert c[mf.PDY1] == 0.45  # times LMUY
+    assert c[mf.PCX1] == 1.55
+    assert c[mf.QSY1] == 0.0  # optional
 
 
 def test_a_missing_coefficient_is_named(tmp_path):

@@ -4,7 +4,7 @@ import shutil
 
 import pytest
 
-from lpvmpc.car import tire
+from lpvmpc.car import magic_formula as mf
 from lpvmpc.errors import ModelError, OptionError, UnknownNameError
 from lpvmpc.plant import mjcf
 from lpvmpc.plant.mjcf import compile_model, model_path, models_dir, numeric, packaged_car
@@ -43,7 +43,7 @@ def test_servo_is_that_of_the_design(car):
 def test_axle_stiffness_is_twice_the_tires_slope_at_static_load(car):
     c = numeric(compile_model(), "tire_f")
     Fz = car.m * GRAVITY * car.lr / car.wheelbase / 2
-    slope = tire.forces(c, 0.0, 1e-6, Fz, 1.0)[1] / 1e-6
+    slope = mf.forces(c, 0.0, 1e-6, Fz, 1.0)[1] / 1e-6
     assert car.Cf == pytest.approx(2 * slope, rel=1e-6)
 
 

@@ -13,7 +13,8 @@ from numba import njit
 
 from lpvmpc.car import tire
 from lpvmpc.car.params import VehicleParams
-from lpvmpc.units import GRAVITY, Array
+from lpvmpc.car.tire import Tire
+from lpvmpc.units import GRAVITY
 
 SLIP_STEP = 1e-3
 """Half width of the difference quotient for the slope [rad]; a thousandth of the force's scale."""
@@ -22,8 +23,8 @@ SLIP_STEP = 1e-3
 class Axle(NamedTuple):
     """Constants of one axle, as plain numbers for compiled code."""
 
-    tire: Array
-    """Magic Formula coefficients, shape (N_COEFFICIENTS,)."""
+    tire: Tire
+    """Its tires: law and coefficients."""
     load: float
     """Static load of one wheel [N]."""
     pitch: float
@@ -36,13 +37,13 @@ class Axle(NamedTuple):
     """Longitudinal force of one wheel per braking acceleration [N per m/s2]."""
 
 
-def axles(car: VehicleParams, tire_f: Array, tire_r: Array) -> tuple[Axle, Axle]:
+def axles(car: VehicleParams, tire_f: Tire, tire_r: Tire) -> tuple[Axle, Axle]:
     """Front and rear axle of a car with the given tires.
 
     Args:
         car: Vehicle parameters.
-        tire_f: Coefficients of the front tires, shape (N_COEFFICIENTS,).
-        tire_r: Coefficients of the rear tires, shape (N_COEFFICIENTS,).
+        tire_f: Front tire.
+        tire_r: Rear tire.
     """
     weight, L = car.m * GRAVITY, car.wheelbase
     pitch = 0.5 * car.m * car.h / L

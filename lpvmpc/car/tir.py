@@ -4,7 +4,7 @@ import math
 import re
 from pathlib import Path
 
-from lpvmpc.car.tire import COEFFICIENTS, coefficients
+from lpvmpc.car.magic_formula import COEFFICIENTS, coefficients
 from lpvmpc.errors import DataError
 from lpvmpc.units import Array
 
@@ -36,7 +36,7 @@ _SI = {"LENGTH": "meter", "FORCE": "newton", "ANGLE": "radians", "MASS": "kg", "
 
 
 def read_tir(path: str | Path) -> Array:
-    """Coefficients of the symmetric tire in a .tir file, for `lpvmpc.car.tire`.
+    """Coefficients of the symmetric tire in a .tir file, for `lpvmpc.car.magic_formula`.
 
     Shifts, camber, turn slip and pressure terms are left out, since this package's tire has none;
     PKY1 is taken positive (the file's sign is that of ISO 8855). User scaling factors are applied.
@@ -45,7 +45,7 @@ def read_tir(path: str | Path) -> Array:
         path: property file in SI units.
 
     Returns:
-        Read-only array in the order of `tire.COEFFICIENTS`.
+        Read-only array in the order of its `COEFFICIENTS`.
 
     Raises:
         DataError: the file cannot be read, is not in SI units, lacks a coefficient, or gives one

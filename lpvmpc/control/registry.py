@@ -15,9 +15,9 @@ from lpvmpc.errors import OptionError, UnknownNameError
 
 if TYPE_CHECKING:  # the help of a command lists the names, and must not wait for numba
     from lpvmpc.car.params import VehicleParams
+    from lpvmpc.car.tire import Tire
     from lpvmpc.control.stiffness.models import StiffnessModel
     from lpvmpc.interface import Controller
-    from lpvmpc.units import Array
 
 CONTROLLERS = {
     "lpv-mpc": ("lpv_mpc", "adaptive"),
@@ -40,18 +40,14 @@ STIFFNESS_MODELS = {
 
 
 def make_controller(
-    name: str,
-    car: VehicleParams,
-    coefficients: Callable[[], tuple[Array, Array]],
-    **options: Any,
+    name: str, car: VehicleParams, tires: Callable[[], tuple[Tire, Tire]], **options: Any
 ) -> Controller:
     """A controller of the package by name.
 
     Args:
         name: One of `CONTROLLERS`.
         car: Parameters of the car it drives.
-        coefficients: Gives the coefficients of the tires, front and rear; called for the
-            oracle alone.
+        tires: Gives the front and the rear tires; called for the oracle alone.
         options: Arguments of its maker. A stiffness model may be named, be given the network of a
             `stiffness_file`, and made wrong by `stiffness_scale`, `stiffness_noise` and
             `stiffness_seed` (see `perturbed`); a formulation may be a dictionary of what differs
@@ -66,7 +62,7 @@ def make_controller(
     maker = _attribute(*CONTROLLERS[name])
     known = inspect.signature(maker).parameters
     if "stiffness" in known:
-        options = _with_stiffness(options, car, coefficients)
+        options = _with_stiffness(options, car, tires)
     elif (asked := options.pop("stiffness", None)) not in (None, "constant"):
         raise OptionError("stiffness", asked, f"left out for {name}, which adapts to nothing")
     for option in options:
@@ -76,9 +72,7 @@ def make_controller(
 
 
 def _with_stiffness(
-    options: dict[str, Any],
-    car: VehicleParams,
-    coefficients: Callable[[], tuple[Array, Array]],
+    options: dict[str, Any], car: VehicleParams, tires: Callable[[], tuple[Tire, Tire]]
 ) -> dict[str, Any]:
     """The options with the stiffness model in place of its name and of what changes it."""
     options = dict(options)
@@ -90,13 +84,13 @@ def _with_stiffness(
             return options
         given = ", ".join(f"stiffness_{part}" for part in wrong)
         raise OptionError("stiffness", name, f"a model by name, since {given} is given")
-    return {**options, "stiffness": make_stiffness(name, car, coefficients, **wrong)}
+    return {**options, "stiffness": make_stiffness(name, car, tires, **wrong)}
 
 
 def make_stiffness(
     name: str,
     car: VehicleParams,
-    coefficients: Callable[[], tuple[Array, Array]],
+    tires: Callable[[], tuple[Tire, Tire]],
     *,
     file: str | None = None,
     **wrong: Any,
@@ -106,8 +100,7 @@ def make_stiffness(
     Args:
         name: One of `STIFFNESS_MODELS`.
         car: Parameters of the car.
-        coefficients: Gives the coefficients of the tires, front and rear; called for the
-            oracle alone.
+        tires: Gives the front and the rear tires; called for the oracle alone.
         file: Trained network in place of the shipped one.
         wrong: What makes it wrong on purpose: `scale`, `noise`, `seed` of `PerturbedStiffness`.
 
@@ -120,8 +113,8 @@ def make_stiffness(
         raise UnknownNameError("stiffness model", name, STIFFNESS_MODELS)
     maker = _attribute(*STIFFNESS_MODELS[name])
     more: list[Any] = []
-    if "coefficients" in inspect.signature(maker).parameters:
-        more.append(coefficients())
+    if "tires" in inspect.signature(maker).parameters:
+        more.append(tires())
     if file is not None:
         from lpvmpc.control.stiffness.network import load_weights
 

@@ -26,7 +26,7 @@ from lpvmpc.control.stiffness import network
 from lpvmpc.errors import DataError
 from lpvmpc.interface import State
 from lpvmpc.plant import callbacks
-from lpvmpc.plant.mjcf import numeric
+from lpvmpc.plant.mjcf import tires
 from lpvmpc.units import Array
 
 if TYPE_CHECKING:
@@ -121,19 +121,19 @@ def secant_stiffness(alpha: npt.ArrayLike, Fy: npt.ArrayLike, slope_zero: npt.Ar
 
 
 @njit(cache=True)
-def _slope(c, ratio, alpha, Fz, friction):
+def _slope(rubber, ratio, alpha, Fz, friction):
     """Slope of a tire's lateral force over its slip angle [N/rad].
 
     Central difference of the tire law; a step of 1e-4 is exact to 1e-5 of the slope.
     """
     h = 1e-4
-    high = tire.forces(c, ratio, math.tan(alpha + h), Fz, friction)[1]
-    low = tire.forces(c, ratio, math.tan(alpha - h), Fz, friction)[1]
+    high = tire.forces(rubber, ratio, math.tan(alpha + h), Fz, friction)[1]
+    low = tire.forces(rubber, ratio, math.tan(alpha - h), Fz, friction)[1]
     return (high - low) / (2.0 * h)
 
 
 @njit(cache=True)
-def _slopes(tires, outputs, friction, local, at_zero):
+def _slopes(axles, outputs, friction, local, at_zero):
     """Slopes of each axle's lateral force over a slip angle that both wheels share, in place."""
     for k in range(outputs.shape[0]):
         for axle in range(2):
@@ -142,8 +142,8 @@ def _slopes(tires, outputs, friction, local, at_zero):
                 Fz = outputs[k, callbacks.FZ + wheel]
                 ratio = outputs[k, callbacks.SLIP_RATIO + wheel]
                 alpha = outputs[k, callbacks.SLIP_ANGLE + wheel]
-                local[k, axle] += _slope(tires[axle], ratio, alpha, Fz, friction)
-                at_zero[k, axle] += _slope(tires[axle], ratio, 0.0, Fz, friction)
+                local[k, axle] += _slope(axles[axle], ratio, alpha, Fz, friction)
+                at_zero[k, axle] += _slope(axles[axle], ratio, 0.0, Fz, friction)
 
 
 def table_of(
@@ -156,7 +156,7 @@ def table_of(
         rows: What was recorded, at least one row.
         run: Number of the run.
         kind: Kind of manoeuvre.
-        model: The car, for the coefficients of its tires.
+        model: The car, for the law and the coefficients of its tires.
         friction: Scale of the road's peak friction.
         mass: Mass of the car [kg].
         Ts: Control period [s].
@@ -167,9 +167,8 @@ def table_of(
     n = len(rows)
     o = np.array([row.outputs for row in rows])
     states = [row.state for row in rows]
-    tires = np.array([numeric(model, "tire_f"), numeric(model, "tire_r")])
     slope, slope_zero = np.empty((n, 2)), np.empty((n, 2))
-    _slopes(tires, o, friction, slope, slope_zero)
+    _slopes(tires(model), o, friction, slope, slope_zero)
 
     def axle(first: int, i: int) -> Array:
         return o[:, first + 2 * i] + o[:, first + 2 * i + 1]

@@ -202,7 +202,7 @@ def labels(log: Log) -> tuple[Array, Array]:
 
     As the labels of the data: an axle's slip angle is that of its wheels, weighted by their loads.
     """
-    c, coefficients = log.columns, tires(compile_model(visual=False))
+    c, law = log.columns, tires(compile_model(visual=False))
     alpha, Fy, slope = (np.zeros((len(c["t_s"]), 2)) for _ in range(3))
     step = 1e-4  # rad; a central difference over it is exact to 1e-5 of the slope
     for axle, wheels in enumerate((("fl", "fr"), ("rl", "rr"))):
@@ -212,7 +212,7 @@ def labels(log: Log) -> tuple[Array, Array]:
             alpha[:, axle] += c[f"slip_angle_{wheel}_rad"] * Fz / load
             Fy[:, axle] += c[f"Fy_{wheel}_N"]
             for k in range(len(Fz)):
-                side = [forces(coefficients[axle], ratio[k], np.tan(angle), Fz[k], 1.0)[1]
+                side = [forces(law[axle], ratio[k], np.tan(angle), Fz[k], 1.0)[1]
                         for angle in (step, -step)]  # fmt: skip
                 slope[k, axle] += (side[0] - side[1]) / (2.0 * step)
     return alpha, secant_stiffness(alpha, Fy, slope)

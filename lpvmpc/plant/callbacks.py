@@ -1,7 +1,7 @@
 """The tire law inside MuJoCo: compiled `mjcb_passive` and `mjcb_act_dyn` callbacks.
 
-`install()` gives MuJoCo two C functions, compiled by numba, which read the tire coefficients from
-the model's <custom> numerics and add tire, brake, drive, steering and air forces to
+`install()` gives MuJoCo two C functions, compiled by numba, which read the tires' law and
+coefficients from the model's <custom> fields and add tire, brake, drive, steering and air forces to
 `qfrc_passive`. So `mj_step(model, data, nstep=33)` runs without Python and without the GIL, and the
 same functions serve `mujoco.batch.Batch`.
 
@@ -17,22 +17,29 @@ import math
 from itertools import accumulate
 
 import mujoco
-from numba import carray, cfunc, njit, types
+import numpy as np
+from numba import cfunc, njit, types
 
 from lpvmpc.car import tire
 from lpvmpc.car.aero import aero_wrench
+from lpvmpc.car.tire import Tire
 from lpvmpc.errors import LPVMPCError
 from lpvmpc.plant import structs
-from lpvmpc.plant.mjcf import LAYOUT, NA, NQ, NU, NUMERICS, NUSERDATA, NV
-from lpvmpc.plant.structs import doubles, field, ints, longs, offsets
+from lpvmpc.plant.mjcf import LAYOUT, NA, NQ, NU, NUMERICS, NUSERDATA, NV, TIRE_LAW
+from lpvmpc.plant.structs import chars, doubles, field, ints, longs, offsets
 
-# Where the numerics of model.NUMERICS begin in numeric_data.
+# Where the numerics of mjcf.NUMERICS begin in numeric_data; those of the tires follow them.
 _SIZES = dict(NUMERICS)
 _ENDS = dict(zip(_SIZES, accumulate(_SIZES.values()), strict=True))
 _STARTS = {name: end - _SIZES[name] for name, end in _ENDS.items()}
 STEERING, POWERTRAIN, AERO = _STARTS["steering"], _STARTS["powertrain"], _STARTS["aero"]
-WHEEL, LOW_SPEED, TIRES = _STARTS["wheel"], _STARTS["low_speed"], _STARTS["tire_f"]
-N_NUMERIC = _ENDS["tire_r"]
+WHEEL, LOW_SPEED, TIRES = _STARTS["wheel"], _STARTS["low_speed"], sum(_SIZES.values())
+
+# The text that names the law, and the names of the laws, as zero-ended bytes.
+_TIRE_LAW = np.frombuffer(TIRE_LAW.encode() + b"\0", np.uint8)
+_LAWS = np.zeros((len(tire.LAWS), max(len(law.NAME) for law in tire.LAWS) + 1), np.uint8)
+for _row, _law in zip(_LAWS, tire.LAWS, strict=True):
+    _row[: len(_law.NAME)] = np.frombuffer(_law.NAME.encode(), np.uint8)
 
 # Columns of userdata: the friction scale less one (so that a cleared row means normal grip), the
 # derivatives handed from the passive callback to the actuation callback, and the outputs, which
@@ -52,6 +59,8 @@ _D = offsets("mjData")
 _M_NQ, _M_NV, _M_NU, _M_NA = _M["nq"], _M["nv"], _M["nu"], _M["na"]
 _M_NUSERDATA, _M_NNUMERICDATA = _M["nuserdata"], _M["nnumericdata"]
 _M_NUMERIC, _M_BODY, _M_DOF_M0 = _M["numeric_data"], _M["dof_bodyid"], _M["dof_M0"]
+_M_NTEXT, _M_TEXT, _M_TEXT_ADR = _M["ntext"], _M["text_data"], _M["text_adr"]
+_M_NAMES, _M_NAME_TEXT = _M["names"], _M["name_textadr"]
 _M_MASS = _M["body_subtreemass"]
 _M_DT = _M["opt"] + offsets("mjOption")["timestep"]
 _M_ACTADR = _M["actuator_actadr"]
@@ -59,6 +68,31 @@ _D_QPOS, _D_QVEL, _D_ACT, _D_CTRL = _D["qpos"], _D["qvel"], _D["act"], _D["ctrl"
 _D_USERDATA, _D_QFRC, _D_ACT_DOT = _D["userdata"], _D["qfrc_passive"], _D["act_dot"]
 _D_XPOS, _D_XMAT, _D_COM = _D["xpos"], _D["xmat"], _D["subtree_com"]
 _D_XANCHOR, _D_XAXIS = _D["xanchor"], _D["xaxis"]
+
+
+@njit(cache=True)
+def _equal(text, name):
+    """Whether a zero-ended text is that name; name is zero-ended too."""
+    for i in range(len(name)):
+        if text[i] != name[i]:
+            return False
+        if name[i] == 0:
+            break
+    return True
+
+
+@njit(cache=True)
+def _named_law(m):
+    """Number of the tire law that the model names, that of the first without a name, -1 of none."""
+    for i in range(longs(m + _M_NTEXT)[0]):
+        name = chars(longs(m + _M_NAMES)[0] + ints(longs(m + _M_NAME_TEXT)[0])[i])
+        if _equal(name, _TIRE_LAW):
+            text = chars(longs(m + _M_TEXT)[0] + ints(longs(m + _M_TEXT_ADR)[0])[i])
+            for law in range(len(_LAWS)):
+                if _equal(text, _LAWS[law]):
+                    return law
+            return -1
+    return 0
 
 
 @njit(cache=True)
@@ -70,7 +104,7 @@ def _is_ours(m):
         and longs(m + _M_NU)[0] == NU
         and longs(m + _M_NA)[0] == NA
         and longs(m + _M_NUSERDATA)[0] == NUSERDATA
-        and longs(m + _M_NNUMERICDATA)[0] >= N_NUMERIC
+        and longs(m + _M_NNUMERICDATA)[0] >= TIRES
         and field(m, _M_NUMERIC)[0] == LAYOUT
     )
 
@@ -139,18 +173,18 @@ def _powertrain(p, act, qvel, mass, spin_inertia, out):
 
 
 @njit(cache=True)
-def _damp(c, Fx, Fy, Fz, friction, damping, Vsx, Vsy):
+def _damp(rubber, Fx, Fy, Fz, friction, damping, Vsx, Vsy):
     """Damp the tire, a spring near standstill, without leaving the friction ellipse."""
     Fx -= damping * Vsx
     Fy -= damping * Vsy
-    mux, muy = tire.peak_friction(c, Fz)
+    mux, muy = tire.peak_friction(rubber, Fz)
     fx, fy = Fx / (friction * mux * Fz), Fy / (friction * muy * Fz)
     scale = 1.0 / math.sqrt(max(fx * fx + fy * fy, 1.0))
     return scale * Fx, scale * Fy
 
 
 @njit(cache=True)
-def _tire(p, c, wheel, Fz, Vx, Vy, spin, act, dt, out):
+def _tire(p, rubber, wheel, Fz, Vx, Vy, spin, act, dt, out):
     """Relaxation and forces of one tire: Fx, Fy [N], Mz [N m].
 
     Near standstill the deflection is capped, so that a wheel that was locked does not throw the car
@@ -158,7 +192,7 @@ def _tire(p, c, wheel, Fz, Vx, Vy, spin, act, dt, out):
     """
     Vsx = Vx - p[WHEEL] * spin
     speed = abs(Vx)
-    sigma_x, sigma_y = tire.relaxation_lengths(c, Fz)
+    sigma_x, sigma_y = tire.relaxation_lengths(rubber, Fz)
     slow = max(1.0 - speed / p[LOW_SPEED], 0.0)  # 1 at standstill, 0 above the low speed
     cap = p[LOW_SPEED + 3] + slow * (p[LOW_SPEED + 2] - p[LOW_SPEED + 3])
     i = 2 + 2 * wheel
@@ -169,20 +203,20 @@ def _tire(p, c, wheel, Fz, Vx, Vy, spin, act, dt, out):
 
     slip_ratio, tan_alpha = u / sigma_x, v / sigma_y
     friction = max(1.0 + out[FRICTION + wheel], 1e-3)
-    Fx, Fy, Mz = tire.forces(c, slip_ratio, tan_alpha, Fz, friction)
+    Fx, Fy, Mz = tire.forces(rubber, slip_ratio, tan_alpha, Fz, friction)
     if slow > 0.0 and Fz > 0.0:
-        Fx, Fy = _damp(c, Fx, Fy, Fz, friction, p[LOW_SPEED + 1] * slow * slow, Vsx, Vy)
+        Fx, Fy = _damp(rubber, Fx, Fy, Fz, friction, p[LOW_SPEED + 1] * slow * slow, Vsx, Vy)
     out[FX + wheel], out[FY + wheel], out[FZ + wheel] = Fx, Fy, Fz
     out[SLIP_RATIO + wheel], out[SLIP_ANGLE + wheel] = slip_ratio, math.atan(tan_alpha)
-    out[MU + wheel] = friction * tire.peak_friction(c, Fz)[1]
+    out[MU + wheel] = friction * tire.peak_friction(rubber, Fz)[1]
     return Fx, Fy, Mz
 
 
 @njit(cache=True)
-def _passive(m, d):
+def _passive(m, d, law):
     """Add all forces of the car that MuJoCo does not know to qfrc_passive."""
     p = field(m, _M_NUMERIC)
-    tires = carray(doubles(longs(m + _M_NUMERIC)[0] + 8 * TIRES), (2, tire.N_COEFFICIENTS))
+    coefficients = longs(m + _M_NUMERIC)[0] + 8 * TIRES  # address; those of an axle follow in turn
     dt = doubles(m + _M_DT)[0]
     M0 = field(m, _M_DOF_M0)
     chassis = ints(longs(m + _M_BODY)[0])[0]
@@ -222,7 +256,7 @@ def _passive(m, d):
     force = (0.0, 0.0, 0.0)  # of all tires, world
     moment = (0.0, 0.0, 0.0)  # about the chassis origin
     for axle in range(2):
-        c = tires[axle]
+        rubber = Tire(law, doubles(coefficients + 8 * axle * tire.size(law)))
         # Left and right are added first: such a sum is exact under mirroring.
         axle_force, axle_moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         for side in range(2):
@@ -258,9 +292,9 @@ def _passive(m, d):
 
             v = _add(_add(velocity, _cross(omega, contact)), sliding)
             rise = _add(_add(velocity, _cross(omega, centre)), sliding)[2]
-            Fz = tire.vertical_force(c, c[tire.R0] * upright - height, -rise)
+            Fz = tire.vertical_force(rubber, rubber.c[tire.R0] * upright - height, -rise)
             Vx, Vy = v[0] * ahead[0] + v[1] * ahead[1], v[0] * left[0] + v[1] * left[1]
-            Fx, Fy, Mz = _tire(p, c, wheel, Fz, Vx, Vy, qvel[dof_spin], act, dt, out)
+            Fx, Fy, Mz = _tire(p, rubber, wheel, Fz, Vx, Vy, qvel[dof_spin], act, dt, out)
 
             # Wheel spin: tire, motor, and the dry friction of brake and rolling resistance, which
             # at most stops the wheel within this step.
@@ -271,7 +305,7 @@ def _passive(m, d):
                 torque += 0.5 * drive
             else:
                 share = 1.0 - share
-            dry = 0.5 * share * brake + c[tire.QSY1] * R_w * Fz
+            dry = 0.5 * share * brake + tire.rolling_resistance(rubber) * R_w * Fz
             stopping = M0[dof_spin] * qvel[dof_spin] / dt + torque
             qfrc[dof_spin] += torque - _clip(stopping, dry)
 
@@ -323,8 +357,11 @@ def _passive(m, d):
 
 @cfunc(types.void(types.int64, types.int64), cache=True)
 def _mjcb_passive(m, d):
-    if _is_ours(m):
-        _passive(m, d)
+    if not _is_ours(m):
+        return
+    law = _named_law(m) if longs(m + _M_NTEXT)[0] > 0 else 0
+    if law >= 0 and longs(m + _M_NNUMERICDATA)[0] >= TIRES + 2 * tire.size(law):
+        _passive(m, d, law)
 
 
 @cfunc(types.float64(types.int64, types.int64, types.int32), cache=True)

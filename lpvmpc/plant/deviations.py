@@ -19,7 +19,7 @@ import numpy as np
 from lpvmpc.car import tire
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.errors import OptionError, UnknownNameError
-from lpvmpc.plant.mjcf import WHEELS, parameters
+from lpvmpc.plant.mjcf import WHEELS, parameters, tire_law
 from lpvmpc.units import GRAVITY, Array
 
 FACTOR = (0.2, 5.0, "a factor from 0.2 to 5")
@@ -213,18 +213,13 @@ def _masses(out: mujoco.MjModel, deviations: Deviations, nominal: VehicleParams)
 
 def _tires(out: mujoco.MjModel, deviations: Deviations) -> None:
     """Change the coefficients of both axles' tires."""
+    law = tire.LAWS[tire_law(out)]
     for name, stiffness, friction in (
         ("tire_f", deviations.Cf, deviations.mu_f),
         ("tire_r", deviations.Cr, deviations.mu_r),
     ):
         c = out.numeric(name).data
-        c[tire.PKY1] *= stiffness
-        for i in (tire.PDX1, tire.PDX2, tire.PDY1, tire.PDY2):
-            c[i] *= friction
-        for i in (tire.RBX1, tire.RBX2, tire.RBY1, tire.RBY2, tire.QBZ1):
-            c[i] /= friction
-        for i in (tire.PTX1, tire.PTX2, tire.PTY1):
-            c[i] *= deviations.relaxation
+        law.scale(c, stiffness, friction, deviations.relaxation)
         c[tire.R0] *= deviations.tire_radius
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from lpvmpc.car import tire
 from lpvmpc.car.params import VehicleParams
+from lpvmpc.car.tire import LAWS, MAGIC_FORMULA, Tire
 from lpvmpc.errors import ModelError, UnknownNameError
 from lpvmpc.units import GRAVITY, Array
 
@@ -29,10 +30,12 @@ NUMERICS = (
     ("low_speed", 4),
     ("body", 2),
     ("ay_limit", 1),
-    ("tire_f", tire.N_COEFFICIENTS),
-    ("tire_r", tire.N_COEFFICIENTS),
 )
 """Names and sizes of the <custom> numerics, in the order that the callbacks read."""
+TIRES = ("tire_f", "tire_r")
+"""Numerics that follow these: coefficients of the front and the rear tires, as the law has them."""
+TIRE_LAW = "tire_law"
+"""Name of the <custom> text that names the tire law; without it the law is the first of `LAWS`."""
 
 WHEELS = ("fl", "fr", "rl", "rr")
 """Order of the wheels everywhere."""
@@ -115,11 +118,14 @@ def check_model(model: mujoco.MjModel, source: str = "The model") -> None:
         return tuple(mujoco.mj_id2name(model, kind, i) or "(unnamed)" for i in range(count))
 
     numerics = names(mujoco.mjtObj.mjOBJ_NUMERIC, model.nnumeric)
-    sizes = (int(size) for size in model.numeric_size)
+    sizes = [int(size) for size in model.numeric_size]
+    law = LAWS[tire_law(model, source)]
+    n = len(NUMERICS)
     checks = {
         "joints": (names(mujoco.mjtObj.mjOBJ_JOINT, model.njnt), JOINTS),
         "actuators": (names(mujoco.mjtObj.mjOBJ_ACTUATOR, model.nactuator), ACTUATORS),
-        "custom numerics": (tuple(zip(numerics, sizes, strict=True))[: len(NUMERICS)], NUMERICS),
+        "custom numerics": (tuple(zip(numerics, sizes, strict=True))[:n], NUMERICS),
+        f"custom numerics after {NUMERICS[-1][0]}": (numerics[n : n + 2], TIRES),
         "sizes nq, nv, nu, na, nuserdata": (
             (model.nq, model.nv, model.nu, model.na, model.nuserdata),
             (NQ, NV, NU, NA, NUSERDATA),
@@ -135,9 +141,23 @@ def check_model(model: mujoco.MjModel, source: str = "The model") -> None:
         raise ModelError(
             f"{source} has layout version {model.numeric_data[0]:g}, but must have {LAYOUT}."
         )
-    tires = model.numeric_data[-2 * tire.N_COEFFICIENTS :]
-    if not np.isfinite(tires).all():
-        raise ModelError(f"{source} has a tire coefficient that is not a finite number.")
+    for name, size in zip(TIRES, sizes[n:], strict=False):
+        if size != len(law.COEFFICIENTS):
+            raise ModelError(
+                f"{source} gives {size} coefficients in {name}, but the tire law {law.NAME!r} has "
+                f"{len(law.COEFFICIENTS)}: {_words(law.COEFFICIENTS)}."
+            )
+        for coefficient, value in zip(law.COEFFICIENTS, numeric(model, name), strict=True):
+            if not np.isfinite(value):
+                raise ModelError(
+                    f"{source} gives {value} for the tire coefficient {coefficient} in {name}, "
+                    "which is not a finite number."
+                )
+            if value <= 0.0 and coefficient in law.POSITIVE:
+                raise ModelError(
+                    f"{source} gives {value:g} for the tire coefficient {coefficient} in {name}, "
+                    "which must be positive."
+                )
 
 
 def _words(items: tuple[object, ...]) -> str:
@@ -147,6 +167,29 @@ def _words(items: tuple[object, ...]) -> str:
 def numeric(model: mujoco.MjModel, name: str) -> Array:
     """Copy of the values of a <custom> numeric."""
     return np.array(model.numeric(name).data, dtype=np.float64)
+
+
+def tire_law(model: mujoco.MjModel, source: str = "The model") -> int:
+    """Number of the tire law that a compiled model names, an index of `LAWS`.
+
+    Args:
+        model: compiled model.
+        source: what to call it in the message.
+
+    Raises:
+        ModelError: there is no such law; the message lists those there are.
+    """
+    text = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TEXT, TIRE_LAW)
+    if text < 0:
+        return MAGIC_FORMULA
+    names = [law.NAME for law in LAWS]
+    name = bytes(model.text_data)[int(model.text_adr[text]) :].partition(b"\0")[0].decode()
+    if name not in names:
+        raise ModelError(
+            f"{source} names the unknown tire law {name!r}; the choices are "
+            f"{', '.join(sorted(names))}."
+        )
+    return names.index(name)
 
 
 def parameters(model: mujoco.MjModel) -> VehicleParams:
@@ -171,15 +214,15 @@ def parameters(model: mujoco.MjModel) -> VehicleParams:
     rho_air, CdA, CyA, x_cy = numeric(model, "aero")
     (R_w,) = numeric(model, "wheel")
     length, width = numeric(model, "body")
-    tire_f, tire_r = numeric(model, "tire_f"), numeric(model, "tire_r")
+    tire_f, tire_r = tires(model)
     Fz_f = m * GRAVITY * lr / (2.0 * (lf + lr))
     Fz_r = m * GRAVITY * lf / (2.0 * (lf + lr))
     Ixx = float(inertia[3, 3] - m * (offset[1] ** 2 + offset[2] ** 2))
     for w in WHEELS:  # the wheels stay on the road while the body rolls
         unsprung = float(model.body_mass[model.body(f"wheel_{w}").id])
         Ixx -= unsprung * float(centre[w][1] - com[1]) ** 2
-    roll_f = _roll(model, centre, "f", tire_f[tire.KZ])
-    roll_r = _roll(model, centre, "r", tire_r[tire.KZ])
+    roll_f = _roll(model, centre, "f", tire_f.c[tire.KZ])
+    roll_r = _roll(model, centre, "r", tire_r.c[tire.KZ])
     springs = roll_f[0] + roll_r[0]
     values = dict(
         m=m,
@@ -193,7 +236,7 @@ def parameters(model: mujoco.MjModel) -> VehicleParams:
         length=length,
         R_w=R_w,
         J_w=model.body_inertia[model.body("wheel_fl").id, 1],
-        mu=tire_f[tire.PDY1],
+        mu=tire.peak_friction(tire_f, tire_f.c[tire.FNOMIN])[1],
         Cf=2.0 * tire.cornering_stiffness(tire_f, Fz_f),
         Cr=2.0 * tire.cornering_stiffness(tire_r, Fz_r),
         Ixx=Ixx,
@@ -204,7 +247,7 @@ def parameters(model: mujoco.MjModel) -> VehicleParams:
         trail_r=tire.pneumatic_trail(tire_r, 0.0, Fz_r),
         sigma_f=tire.relaxation_lengths(tire_f, Fz_f)[1],
         sigma_r=tire.relaxation_lengths(tire_r, Fz_r)[1],
-        c_roll=tire_f[tire.QSY1],
+        c_roll=tire.rolling_resistance(tire_f),
         rho_air=rho_air,
         CdA=CdA,
         CyA=CyA,
@@ -233,9 +276,10 @@ def packaged_car() -> VehicleParams:
     return parameters(compile_model(visual=False))
 
 
-def tires(model: mujoco.MjModel) -> tuple[Array, Array]:
-    """Magic Formula coefficients of the front and the rear tires, each (N_COEFFICIENTS,)."""
-    return numeric(model, "tire_f"), numeric(model, "tire_r")
+def tires(model: mujoco.MjModel) -> tuple[Tire, Tire]:
+    """The front and the rear tires of a compiled car: their law and copies of the coefficients."""
+    law = tire_law(model)
+    return Tire(law, numeric(model, "tire_f")), Tire(law, numeric(model, "tire_r"))
 
 
 def _roll(
@@ -261,6 +305,9 @@ def car_sha256(model: mujoco.MjModel) -> str:
     To nine digits, so that neither comments and shapes in the MJCF nor another MuJoCo change it.
     """
     digest = hashlib.sha256()
+    law = tire_law(model)
+    if law != MAGIC_FORMULA:  # which needs no name
+        digest.update(LAWS[law].NAME.encode())
     arrays = (
         model.body_mass, model.body_inertia, model.body_pos, model.body_ipos, model.jnt_stiffness,
         model.jnt_range, model.qpos0, model.qpos_spring, model.dof_damping, model.dof_armature,

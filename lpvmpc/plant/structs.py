@@ -104,6 +104,7 @@ def _pointer_cast(element):  # type: ignore[no-untyped-def]
 doubles = _pointer_cast(types.float64)
 longs = _pointer_cast(types.int64)
 ints = _pointer_cast(types.int32)
+chars = _pointer_cast(types.uint8)
 
 
 @njit(cache=True)

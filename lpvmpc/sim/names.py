@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     import mujoco
 
     from lpvmpc.car.params import VehicleParams
+    from lpvmpc.car.tire import Tire
     from lpvmpc.control.stiffness.network import Weights
     from lpvmpc.sensing.sensors import Sensing
-    from lpvmpc.units import Array
 
 ESTIMATORS = ("none",)
 """The package's own estimators."""
@@ -71,7 +71,7 @@ def load_controller(
         ControllerError: The user's class does not import, or is no controller.
     """
     if ":" not in name:
-        return make_controller(name, car or _packaged_car(), _coefficients, **options)
+        return make_controller(name, car or _packaged_car(), _tires, **options)
     offered = {
         "car": lambda: car or _packaged_car(),
         "delay": lambda: options.get("delay", 0),
@@ -162,8 +162,8 @@ def _packaged_car() -> VehicleParams:
     return packaged_car()
 
 
-def _coefficients() -> tuple[Array, Array]:
-    """Magic Formula coefficients of the packaged car's tires."""
+def _tires() -> tuple[Tire, Tire]:
+    """Front and rear tires of the packaged car."""
     from lpvmpc.plant.mjcf import compile_model, tires
 
     return tires(compile_model(visual=False))

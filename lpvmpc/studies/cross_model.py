@@ -16,6 +16,7 @@ from lpvmpc.car.axle import Axle, axles, lateral_force
 from lpvmpc.car.bicycle import Bicycle
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.interface import Command
+from lpvmpc.plant.mjcf import tires
 from lpvmpc.plant.plant import Plant
 from lpvmpc.studies import plots
 from lpvmpc.studies.reference import multibody
@@ -149,7 +150,7 @@ class SingleTrack:
 def single_tracks(car: CarUnderTest) -> dict[str, SingleTrack]:
     """Both single tracks of the documented car."""
     p = car.params
-    return {LINEAR: SingleTrack(p, None), AXLES: SingleTrack(p, axles(p, *car.tires))}
+    return {LINEAR: SingleTrack(p, None), AXLES: SingleTrack(p, axles(p, *tires(car.documented)))}
 
 
 # --- steady states ---

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
-from lpvmpc.car import tire
+from lpvmpc.car import magic_formula as mf
 from lpvmpc.interface import Command
 from lpvmpc.plant.plant import Plant
 from lpvmpc.plant.rollout import Snapshot
@@ -221,8 +221,8 @@ def _energy(car: CarUnderTest, result: StudyResult) -> None:
     books = energy.ledger(plant, recording)
     throughput = books.work("drive")
     residual = books.residual()
-    sigma = tire.relaxation_lengths(car.tires[0], car.tires[0][tire.FNOMIN])[0]
-    stiffness = tire.slip_stiffness(car.tires[0], car.tires[0][tire.FNOMIN]) / sigma
+    sigma = mf.relaxation_lengths(car.tires[0], car.tires[0][mf.FNOMIN])[0]
+    stiffness = mf.slip_stiffness(car.tires[0], car.tires[0][mf.FNOMIN]) / sigma
     omega = car.params.R_w * math.sqrt(stiffness / car.params.J_w)
     result.find("lap driven", float(log.meta["completed"]), "", Limit.at_least(1.0),
                 "a balance over a lap needs the lap")  # fmt: skip

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lpvmpc.car import tire
+from lpvmpc.car import magic_formula as mf
 from lpvmpc.interface import Command
 from lpvmpc.plant.plant import Plant
 from lpvmpc.studies import plots
@@ -248,7 +248,7 @@ def gained(car: CarUnderTest, speed: float, timestep: float) -> float:
     """
     plant = car.plant(Ts=0.01, timestep=timestep)
     for name in ("tire_f", "tire_r"):
-        plant.model.numeric(name).data[tire.QSY1] = 0.0
+        plant.model.numeric(name).data[mf.QSY1] = 0.0
     plant.model.numeric("aero").data[1:3] = 0.0
     plant.model.numeric("powertrain").data[2] = 1e9
     plant.reset(vx=speed, trim=False)
@@ -339,7 +339,7 @@ def locking_command(car: CarUnderTest) -> tuple[float, float]:
         a = command + (p.c_roll * p.m * GRAVITY + drag) / p.m_eff
         Fz = (p.m * GRAVITY * p.lr + p.m * a * p.h) / p.wheelbase
         Fx = p.brake_front * p.m_eff * command + p.c_roll * Fz - 2.0 * p.J_w / p.R_w**2 * a
-        limit = tire.peak_friction(car.tires[0], 0.5 * Fz)[0] * Fz
+        limit = mf.peak_friction(car.tires[0], 0.5 * Fz)[0] * Fz
         low, high = (command, high) if Fx < limit else (low, command)
     return command, a
 
@@ -351,7 +351,7 @@ def sliding_deceleration(car: CarUnderTest) -> float:
     for _ in range(50):
         front = (p.m * GRAVITY * p.lr + p.m * a * p.h) / p.wheelbase
         forces = [
-            2.0 * tire.forces(c, -1.0, 0.0, 0.5 * load, 1.0)[0]
+            2.0 * mf.forces(c, -1.0, 0.0, 0.5 * load, 1.0)[0]
             for c, load in zip(car.tires, (front, p.m * GRAVITY - front), strict=True)
         ]
         a = -sum(forces) / p.m

@@ -219,7 +219,7 @@ class CarUnderTest:
             model=copy.copy(model),
             documented=model,
             params=parameters(model),
-            tires=tires(model),
+            tires=_coefficients(model),
         )
 
     def plant(self, **options: Any) -> Plant:
@@ -232,7 +232,12 @@ class CarUnderTest:
 
     def plant_tires(self) -> tuple[Array, Array]:
         """Coefficients of the tires on the plants' model, front and rear: what is to be tested."""
-        return tires(self.plant().model)
+        return _coefficients(self.plant().model)
+
+
+def _coefficients(model: mujoco.MjModel) -> tuple[Array, Array]:
+    front, rear = tires(model)
+    return front.c, rear.c
 
 
 Run = Callable[[CarUnderTest], StudyResult]

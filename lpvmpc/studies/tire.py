@@ -8,7 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from lpvmpc.car import tire
+from lpvmpc.car import magic_formula as mf
 from lpvmpc.plant.plant import Plant
 from lpvmpc.plant.rollout import SPIN_QVEL
 from lpvmpc.studies import plots
@@ -105,7 +105,7 @@ class Bench:
         plant, data = self.plant, self.plant.data
         data.qpos[:] = self._reference
         for i, c in enumerate(self._coefficients):
-            height = c[tire.R0] - Fz / c[tire.KZ] if Fz > 0.0 else c[tire.R0] + 1e-3
+            height = c[mf.R0] - Fz / c[mf.KZ] if Fz > 0.0 else c[mf.R0] + 1e-3
             data.qpos[self._travel[i]] = height - self._height[i]
         data.qvel[:] = 0.0
         data.qvel[:2] = speed, -tan_alpha * speed
@@ -118,7 +118,7 @@ class Bench:
         self.hold(Fz, slip_ratio, tan_alpha, speed)
         act = self.plant.data.act
         for i, c in enumerate(self._coefficients):
-            sigma_x, sigma_y = tire.relaxation_lengths(c, Fz)
+            sigma_x, sigma_y = mf.relaxation_lengths(c, Fz)
             act[2 + 2 * i : 4 + 2 * i] = slip_ratio * sigma_x, tan_alpha * sigma_y
         mujoco.mj_forward(self.plant.model, self.plant.data)
         wheels = self.plant.wheels
@@ -166,7 +166,7 @@ def sweep(c: Array, slips: Array, Fz: float, *, lateral: bool, other: float = 0.
         Forces [N] and moment [N m], shape (n, 3).
     """
     pairs = [(other, s) if lateral else (s, other) for s in slips]
-    return np.array([tire.forces(c, kappa, alpha, Fz, 1.0) for kappa, alpha in pairs])
+    return np.array([mf.forces(c, kappa, alpha, Fz, 1.0) for kappa, alpha in pairs])
 
 
 # --- verdicts ---
@@ -177,7 +177,7 @@ def _symmetry(result: StudyResult, tires: dict[str, Array]) -> None:
     worst = 0.0
     for c in tires.values():
         for load in LOADS:
-            Fz = load * c[tire.FNOMIN]
+            Fz = load * c[mf.FNOMIN]
             for lateral in (False, True):
                 column = 1 if lateral else 0
                 right = sweep(c, slips, Fz, lateral=lateral)[:, column]
@@ -197,12 +197,12 @@ def _slopes(
     for axle, c in tires.items():
         d = documented[axle]
         for load in LOADS:
-            Fz = load * d[tire.FNOMIN]
+            Fz = load * d[mf.FNOMIN]
             dfz = load - 1.0
-            Kx = Fz * (d[tire.PKX1] + d[tire.PKX2] * dfz) * math.exp(d[tire.PKX3] * dfz)
-            errors["Fx over slip ratio"].append(tire.forces(c, h, 0.0, Fz, 1.0)[0] / h / Kx - 1.0)
+            Kx = Fz * (d[mf.PKX1] + d[mf.PKX2] * dfz) * math.exp(d[mf.PKX3] * dfz)
+            errors["Fx over slip ratio"].append(mf.forces(c, h, 0.0, Fz, 1.0)[0] / h / Kx - 1.0)
             Ky = _cornering(d, Fz)
-            errors["Fy over slip angle"].append(tire.forces(c, 0.0, h, Fz, 1.0)[1] / h / Ky - 1.0)
+            errors["Fy over slip angle"].append(mf.forces(c, 0.0, h, Fz, 1.0)[1] / h / Ky - 1.0)
     for name, error in errors.items():
         result.find(
             f"slope of {name}, error", 100.0 * float(np.max(np.abs(error))), "%",
@@ -215,7 +215,7 @@ def _slopes(
         ("rear", p.lf, 215.0, 10.0),
     ):
         Fz = 0.5 * p.m * GRAVITY * share / p.wheelbase
-        stiffness = 2.0 * tire.forces(tires[axle], 0.0, h, Fz, 1.0)[1] / h
+        stiffness = 2.0 * mf.forces(tires[axle], 0.0, h, Fz, 1.0)[1] / h
         result.find(
             f"{axle} axle stiffness, static load", 1e-3 * stiffness, "kN/rad",
             Limit.near(target, tolerance), TARGET, target=True,
@@ -225,9 +225,9 @@ def _slopes(
 def _cornering(c: Array, Fz: float) -> float:
     """Cornering stiffness of MF5.2 [N/rad]."""
     return float(
-        c[tire.PKY1]
-        * c[tire.FNOMIN]
-        * math.sin(2.0 * math.atan(Fz / (c[tire.PKY2] * c[tire.FNOMIN])))
+        c[mf.PKY1]
+        * c[mf.FNOMIN]
+        * math.sin(2.0 * math.atan(Fz / (c[mf.PKY2] * c[mf.FNOMIN])))
     )
 
 
@@ -236,12 +236,12 @@ def peak(c: Array, Fz: float, *, lateral: bool, friction: float = 1.0) -> float:
     slips = np.linspace(0.0, 1.0, 2001)
     column = 1 if lateral else 0
     pairs = [(0.0, s) if lateral else (s, 0.0) for s in slips]
-    return max(tire.forces(c, *pair, Fz, friction)[column] for pair in pairs) / Fz
+    return max(mf.forces(c, *pair, Fz, friction)[column] for pair in pairs) / Fz
 
 
 def _peaks(result: StudyResult, tires: dict[str, Array]) -> None:
     for name, lateral in (("longitudinal", False), ("lateral", True)):
-        mu = [peak(c, c[tire.FNOMIN], lateral=lateral) for c in tires.values()]
+        mu = [peak(c, c[mf.FNOMIN], lateral=lateral) for c in tires.values()]
         worst = max(mu, key=lambda value: abs(value - TABLE_2_MU))
         result.find(
             f"{name} peak friction", worst, "",
@@ -250,7 +250,7 @@ def _peaks(result: StudyResult, tires: dict[str, Array]) -> None:
         )  # fmt: skip
     loads = np.linspace(0.3, 2.0, 8)
     fall = [
-        np.diff([peak(c, load * c[tire.FNOMIN], lateral=lateral) for load in loads]).max()
+        np.diff([peak(c, load * c[mf.FNOMIN], lateral=lateral) for load in loads]).max()
         for c in tires.values()
         for lateral in (False, True)
     ]
@@ -259,8 +259,8 @@ def _peaks(result: StudyResult, tires: dict[str, Array]) -> None:
         "friction of rubber falls with load",
     )  # fmt: skip
     half = [
-        peak(c, c[tire.FNOMIN], lateral=lateral, friction=0.5)
-        / peak(c, c[tire.FNOMIN], lateral=lateral)
+        peak(c, c[mf.FNOMIN], lateral=lateral, friction=0.5)
+        / peak(c, c[mf.FNOMIN], lateral=lateral)
         for c in tires.values()
         for lateral in (False, True)
     ]
@@ -276,11 +276,11 @@ def _combined(result: StudyResult, tires: dict[str, Array]) -> None:
     filling, power = 0.0, math.inf
     for c in tires.values():
         for load in LOADS:
-            Fz = load * c[tire.FNOMIN]
+            Fz = load * c[mf.FNOMIN]
             mux, muy = (peak(c, Fz, lateral=lateral) for lateral in (False, True))
             for kappa in slips:
                 for alpha in slips:
-                    Fx, Fy, _ = tire.forces(c, kappa, alpha, Fz, 1.0)
+                    Fx, Fy, _ = mf.forces(c, kappa, alpha, Fz, 1.0)
                     filling = max(filling, math.hypot(Fx / (mux * Fz), Fy / (muy * Fz)))
                     power = min(power, (Fx * kappa + Fy * alpha) / Fz)
     result.find(
@@ -298,10 +298,10 @@ def _trail(
 ) -> None:
     for axle, c in tires.items():
         d = documented[axle]
-        _, Fy, Mz = tire.forces(c, 0.0, 1e-4, d[tire.FNOMIN], 1.0)
+        _, Fy, Mz = mf.forces(c, 0.0, 1e-4, d[mf.FNOMIN], 1.0)
         result.find(
             f"pneumatic trail of the {axle} tire", -1e3 * Mz / Fy, "mm",
-            Limit.percent(1e3 * d[tire.R0] * d[tire.QDZ1], 0.1),
+            Limit.percent(1e3 * d[mf.R0] * d[mf.QDZ1], 0.1),
             "R0 QDZ1 at nominal load and small slip; the moment turns the wheel back",
         )  # fmt: skip
 
@@ -315,10 +315,10 @@ def _relaxation(
     steps, expected = {}, {}
     for axle, wheel in (("front", 0), ("rear", 2)):
         d = documented[axle]
-        load = Fz / d[tire.FNOMIN]
+        load = Fz / d[mf.FNOMIN]
         lengths = (
-            d[tire.R0] * load * (d[tire.PTX1] + d[tire.PTX2] * (load - 1.0)),
-            d[tire.R0] * d[tire.PTY1] * math.sin(2.0 * math.atan(load / d[tire.PTY2])),
+            d[mf.R0] * load * (d[mf.PTX1] + d[mf.PTX2] * (load - 1.0)),
+            d[mf.R0] * d[mf.PTY1] * math.sin(2.0 * math.atan(load / d[mf.PTY2])),
         )
         for way, name in enumerate(("longitudinal", "lateral")):
             rise = slips[:, wheel, way] / slip
@@ -340,7 +340,7 @@ def _extremes(result: StudyResult, tires: dict[str, Array], bench: Bench) -> Non
         for Fz in (0.0, 1e-9, 4000.0, 2e4):
             for kappa in slips:
                 for alpha in slips:
-                    forces = tire.forces(c, kappa, alpha, Fz, 1.0)
+                    forces = mf.forces(c, kappa, alpha, Fz, 1.0)
                     odd += sum(not math.isfinite(force) for force in forces)
                     if Fz == 0.0:
                         loaded = max(loaded, *(abs(force) for force in forces))
@@ -363,12 +363,12 @@ def _extremes(result: StudyResult, tires: dict[str, Array], bench: Bench) -> Non
 
 def _golden(result: StudyResult, tires: dict[str, Array]) -> None:
     stored = golden_tire.read()
-    other = tire.coefficients(stored["coefficients"]["adams"])
+    other = mf.coefficients(stored["coefficients"]["adams"])
     for name, c in {**tires, "adams": other}.items():
         error = 0.0
         for which, Fz, kappa, alpha, Fx, Fy in stored["rows"]:
             if which == name:
-                ours = tire.forces(c, kappa, alpha, Fz, 1.0)
+                ours = mf.forces(c, kappa, alpha, Fz, 1.0)
                 for mine, theirs in ((ours[0], Fx), (ours[1], Fy)):
                     error = max(error, abs(mine - theirs) / max(abs(theirs), 1.0))
         label = "245/40 R18" if name == "adams" else f"{name} tire"
@@ -386,7 +386,7 @@ def _engine(result: StudyResult, bench: Bench, documented: dict[str, Array]) -> 
                 forces = bench.forces(Fz, kappa, alpha)
                 for wheel in range(4):
                     c = documented[AXLES[wheel // 2]]
-                    law = tire.forces(c, kappa, alpha, Fz, 1.0)
+                    law = mf.forces(c, kappa, alpha, Fz, 1.0)
                     error = max(error, abs(forces[wheel, 0] - law[0]) / Fz)
                     error = max(error, abs(forces[wheel, 1] - law[1]) / Fz)
     result.find(
@@ -402,13 +402,13 @@ def _overview(tires: dict[str, Array]) -> Table:
     rows = []
     for axle, c in tires.items():
         for load in LOADS:
-            Fz = load * c[tire.FNOMIN]
-            sigma_x, sigma_y = tire.relaxation_lengths(c, Fz)
+            Fz = load * c[mf.FNOMIN]
+            sigma_x, sigma_y = mf.relaxation_lengths(c, Fz)
             rows.append(
                 (
                     axle, Fz, peak(c, Fz, lateral=False), peak(c, Fz, lateral=True),
-                    1e-3 * tire.slip_stiffness(c, Fz), 1e-3 * tire.cornering_stiffness(c, Fz),
-                    1e3 * tire.pneumatic_trail(c, 0.0, Fz), sigma_x, sigma_y,
+                    1e-3 * mf.slip_stiffness(c, Fz), 1e-3 * mf.cornering_stiffness(c, Fz),
+                    1e3 * mf.pneumatic_trail(c, 0.0, Fz), sigma_x, sigma_y,
                 )
             )  # fmt: skip
     header = (
@@ -427,7 +427,7 @@ def _curves(tires: dict[str, Array]) -> list[Series]:
     across: dict[str, Any] = {"slip_angle_deg": np.degrees(ANGLES)}
     for axle, c in tires.items():
         for load in LOADS:
-            Fz = load * c[tire.FNOMIN]
+            Fz = load * c[mf.FNOMIN]
             along[f"Fx_{axle}_{load:g}_N"] = sweep(c, RATIOS, Fz, lateral=False)[:, 0]
             forces = sweep(c, np.tan(ANGLES), Fz, lateral=True)
             across[f"Fy_{axle}_{load:g}_N"] = forces[:, 1]
@@ -442,7 +442,7 @@ def _draw_slip(tires: dict[str, Array]) -> Any:
     for axle, style in (("front", "-"), ("rear", (0, (4, 2)))):
         c = tires[axle]
         for load, colour in zip(LOADS, colours, strict=True):
-            Fz = load * c[tire.FNOMIN]
+            Fz = load * c[mf.FNOMIN]
             look = {"color": colour, "ls": style, "lw": 1.1 if axle == "front" else 0.8}
             name = {"label": f"{load:g} Fz0"} if axle == "front" else {}
             axes[0, 0].plot(
@@ -453,10 +453,10 @@ def _draw_slip(tires: dict[str, Array]) -> Any:
             axes[1, 0].plot(np.degrees(ANGLES), forces[:, 2], **look)
         loads = np.linspace(0.2, 2.0, 40)
         for lateral, colour in ((False, plots.RED), (True, plots.GREEN)):
-            mu = [tire.peak_friction(c, load * c[tire.FNOMIN])[int(lateral)] for load in loads]
+            mu = [mf.peak_friction(c, load * c[mf.FNOMIN])[int(lateral)] for load in loads]
             way = "lateral" if lateral else "longitudinal"
             axes[1, 1].plot(
-                1e-3 * loads * c[tire.FNOMIN], mu, color=colour, ls=style, label=f"{way}, {axle}"
+                1e-3 * loads * c[mf.FNOMIN], mu, color=colour, ls=style, label=f"{way}, {axle}"
             )
     axes[1, 1].axhline(TABLE_2_MU, color=plots.GREY, lw=0.8, ls=":", label="Table 2")
     for name, _, kappa, alpha, Fx, Fy in golden_tire.read()["rows"]:
@@ -483,8 +483,8 @@ def _draw_combined(
 ) -> Any:
     figure, (left, right) = plots.axes(1, 2, height=3.0)
     c = tires["front"]
-    Fz = c[tire.FNOMIN]
-    mux, muy = tire.peak_friction(c, Fz)
+    Fz = c[mf.FNOMIN]
+    mux, muy = mf.peak_friction(c, Fz)
     turn = np.linspace(0.0, math.pi, 181)
     left.plot(
         mux * np.cos(turn), muy * np.sin(turn), color=plots.RED, ls=(0, (4, 2)), lw=0.9,

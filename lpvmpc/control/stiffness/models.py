@@ -14,6 +14,7 @@ from numba import njit
 from lpvmpc.car.axle import Axle, axles, tangent
 from lpvmpc.car.bicycle import AF, AR, PHI, A
 from lpvmpc.car.params import VehicleParams
+from lpvmpc.car.tire import Tire
 from lpvmpc.control.stiffness.friction import FrictionObserver
 from lpvmpc.errors import OptionError
 from lpvmpc.interface import AxleForces, State
@@ -75,10 +76,10 @@ class OracleStiffness:
 
     name = "oracle"
 
-    def __init__(self, car: VehicleParams, coefficients: tuple[Array, Array]) -> None:
-        """Args: the car, and the Magic Formula coefficients of its front and rear tires."""
+    def __init__(self, car: VehicleParams, tires: tuple[Tire, Tire]) -> None:
+        """Args: the car, and its front and rear tires."""
         self.car = car
-        self.front, self.rear = axles(car, *coefficients)
+        self.front, self.rear = axles(car, *tires)
         self.reset()
 
     def reset(self) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from lpvmpc.car import tire
+from lpvmpc.car import magic_formula as mf
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.interface import Command
 from lpvmpc.plant.rollout import DRIVE, SPIN_QVEL, Snapshot
@@ -48,8 +48,8 @@ def spin_growth(p: VehicleParams, c: Array, low_speed: Array, vx: float, h: floa
         Spectral radius; above 1 the slip alternates and grows.
     """
     Fz = p.m * GRAVITY * p.lr / (2.0 * p.wheelbase)
-    sigma = tire.relaxation_lengths(c, Fz)[0]
-    stiffness = tire.slip_stiffness(c, Fz) / sigma
+    sigma = mf.relaxation_lengths(c, Fz)[0]
+    stiffness = mf.slip_stiffness(c, Fz) / sigma
     mobility = p.R_w**2 / p.J_w + 4.0 / p.m
     damping = low_speed[1] * max(1.0 - vx / low_speed[0], 0.0) ** 2
     x = vx * h / sigma

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from lpvmpc.car import tire
+from lpvmpc.car import magic_formula as mf
 from lpvmpc.interface import Command
 from lpvmpc.plant import callbacks
 from lpvmpc.plant.mjcf import WHEELS, numeric, tires
@@ -136,7 +136,7 @@ def ledger(plant: Plant, r: Recording) -> Ledger:
     spin = body.rates[:, list(SPIN_QVEL)]  # (n, 4)
     flows["drive"] += r.outputs[:, callbacks.TORQUE_DRIVE] * spin[:, :2].mean(axis=1)
     for i in range(4):
-        c = tires(m)[i // 2]
+        c = tires(m)[i // 2].c
         Fx, Fy, Fz, angle = (
             r.outputs[:, column + i]
             for column in (callbacks.FX, callbacks.FY, callbacks.FZ, callbacks.SLIP_ANGLE)
@@ -148,11 +148,11 @@ def ledger(plant: Plant, r: Recording) -> Ledger:
         carcass = -(Fx * u + Fy * v)
         flows[SLIP] += slip - carcass
         flows[CARCASS] += carcass
-        flows["rolling"] -= c[tire.QSY1] * R_w * Fz * spin[:, i]
+        flows["rolling"] -= c[mf.QSY1] * R_w * Fz * spin[:, i]
         flows["brakes"] -= shares[i] * r.outputs[:, callbacks.TORQUE_BRAKE] * spin[:, i]
-        pressed = np.maximum(c[tire.R0] * wheel.upright - wheel.height, 0.0)
-        flows["tire damping"] += (Fz - c[tire.KZ] * pressed) * wheel.rise
-        compression_energy += 0.5 * c[tire.KZ] * pressed**2
+        pressed = np.maximum(c[mf.R0] * wheel.upright - wheel.height, 0.0)
+        flows["tire damping"] += (Fz - c[mf.KZ] * pressed) * wheel.rise
+        compression_energy += 0.5 * c[mf.KZ] * pressed**2
     flows["dampers"] -= (body.rates**2) @ m.dof_damping
     forward, leftward = body.air_speed(plant)
     flows["air"] += (
@@ -265,8 +265,8 @@ def _rotation(quaternions: Array) -> Array:
 
 def _trail(c: Array, tan_alpha: Array, Fz: Array) -> Array:
     """Pneumatic trail t = R0 QDZ1 (Fz / FNOMIN) cos(QCZ1 atan(QBZ1 tan_alpha)) [m]."""
-    shape = np.cos(c[tire.QCZ1] * np.arctan(c[tire.QBZ1] * tan_alpha))
-    trail: Array = c[tire.R0] * c[tire.QDZ1] * Fz / c[tire.FNOMIN] * shape
+    shape = np.cos(c[mf.QCZ1] * np.arctan(c[mf.QBZ1] * tan_alpha))
+    trail: Array = c[mf.R0] * c[mf.QDZ1] * Fz / c[mf.FNOMIN] * shape
     return trail
 
 

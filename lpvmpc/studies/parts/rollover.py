@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from lpvmpc.car import tire
+from lpvmpc.car import magic_formula as mf
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.interface import Command
 from lpvmpc.studies import plots
@@ -39,7 +39,7 @@ class Springs:
         """Those of a compiled car."""
         stiffness, heights = [], []
         for axle, coefficients in zip("fr", ("tire_f", "tire_r"), strict=True):
-            KZ = float(model.numeric(coefficients).data[tire.KZ])
+            KZ = float(model.numeric(coefficients).data[mf.KZ])
             joint = model.joint(f"susp_{axle}l").id
             spring = float(np.ravel(model.jnt_stiffness[joint])[0])
             stiffness.append(spring * KZ / (spring + KZ))
@@ -92,9 +92,9 @@ def pull_over(car: CarUnderTest) -> Array:
     p, plant = car.params, car.plant()
     for name in ("tire_f", "tire_r"):  # a road to which tires stick, at any load
         coefficients = plant.model.numeric(name).data
-        coefficients[[tire.PDX1, tire.PDY1]] = 5.0
-        coefficients[[tire.PDX2, tire.PDY2]] = 0.0
-        coefficients[tire.PKY1] *= 5.0
+        coefficients[[mf.PDX1, mf.PDY1]] = 5.0
+        coefficients[[mf.PDX2, mf.PDY2]] = 0.0
+        coefficients[mf.PKY1] *= 5.0
     plant.model.numeric("low_speed").data[2] = 1.0  # the cap on the deflection would let it slide
     plant.reset(trim=False)
     braked = Command(0.0, p.ax_min)

@@ -12,7 +12,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from lpvmpc.car import tire
+from lpvmpc.car import magic_formula as mf
 from lpvmpc.errors import LPVMPCError, UnknownNameError
 from lpvmpc.interface import Command, State
 from lpvmpc.plant.mjcf import WHEELS, model_path
@@ -48,7 +48,7 @@ class WrongTrail(Plant):
         """See Plant; the sign is changed in the plant's own copy of the model."""
         super().__init__(*args, **kwargs)
         for axle in "fr":
-            self.model.numeric(f"tire_{axle}").data[tire.QDZ1] *= -1.0
+            self.model.numeric(f"tire_{axle}").data[mf.QDZ1] *= -1.0
 
 
 class LateForces(Plant):
@@ -92,7 +92,7 @@ def wrong_trail(car: CarUnderTest) -> CarUnderTest:
 def double_friction(car: CarUnderTest) -> CarUnderTest:
     """Double the friction of the tires."""
     for axle in "fr":
-        for name in (tire.PDX1, tire.PDX2, tire.PDY1, tire.PDY2):
+        for name in (mf.PDX1, mf.PDX2, mf.PDY1, mf.PDY2):
             car.model.numeric(f"tire_{axle}").data[name] *= 2.0
     return car
 

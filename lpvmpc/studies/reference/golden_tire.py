@@ -7,10 +7,10 @@ computes them anew with the tire functions of CommonRoad's vehicle models (TU Mu
 study itself does not need that package, and a test repeats the computation where it is installed.
 
 CommonRoad's tire has no load dependence, so that its coefficients are computed here for each load,
-by the formulas of MF5.2 written out once more and not taken from `car.tire`. Its functions know
-shifts and camber, which are set to zero since our tire has none. That also steps around an error:
-`formula_longitudinal` adds the vertical shift inside the sine (a misplaced bracket), which makes
-154 N at worst for its own coefficients. The input slip ratio is negated inside that function.
+by the formulas of MF5.2 written out once more and not taken from `car.magic_formula`. Its functions
+know shifts and camber, which are set to zero since our tire has none. That also steps around an
+error: `formula_longitudinal` adds the vertical shift inside the sine (a misplaced bracket), which
+makes 154 N at worst for its own coefficients. The input slip ratio is negated inside that function.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from lpvmpc.car.tire import COEFFICIENTS
+from lpvmpc.car.magic_formula import COEFFICIENTS
 from lpvmpc.plant.mjcf import compile_model, tires
 
 FILE = Path(str(resources.files("lpvmpc.studies") / "data" / "tire_golden.json"))
@@ -49,7 +49,9 @@ that is not ours, so that the comparison does not hang on our coefficients."""
 
 def sets() -> dict[str, dict[str, float]]:
     """Coefficients by name: the car's front and rear tires and the Adams handbook's."""
-    front, rear = (dict(zip(COEFFICIENTS, map(float, c), strict=True)) for c in tires(_model()))
+    front, rear = (
+        dict(zip(COEFFICIENTS, map(float, one.c), strict=True)) for one in tires(_model())
+    )
     return {"front": front, "rear": rear, "adams": ADAMS}
 
 
@@ -62,7 +64,7 @@ def compute() -> dict[str, Any]:
 
     Returns:
         `coefficients` by set and name, and `rows` of (set, Fz [N], slip ratio, tan_alpha, Fx [N],
-        Fy [N]) in the signs of `lpvmpc.car.tire`.
+        Fy [N]) in the signs of `lpvmpc.car.magic_formula`.
 
     Raises:
         ImportError: commonroad-vehicle-models is not installed.

@@ -27,7 +27,7 @@ import mujoco
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from lpvmpc.car import tire
+from lpvmpc.car import magic_formula as mf
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.plant.mjcf import compile_model, parameters, tires
 from lpvmpc.units import GRAVITY, Array
@@ -110,10 +110,11 @@ def translate(model: mujoco.MjModel) -> Parameters:
     mujoco.mju_quat2Mat(inertia, model.body_iquat[chassis])
     R = inertia.reshape(3, 3)
     own = R @ np.diag(model.body_inertia[chassis]) @ R.T
-    KZ = float(tires(model)[0][tire.KZ])
+    KZ = float(tires(model)[0].c[mf.KZ])
     stiffness = effective_stiffness(p)
     sets = tuple(
-        _tire_set(c, load, C) for c, load, C in zip(tires(model), loads, stiffness, strict=True)
+        _tire_set(one.c, load, C)
+        for one, load, C in zip(tires(model), loads, stiffness, strict=True)
     )
     return Parameters(
         tire_sets=sets, handed_out=0,
@@ -139,11 +140,11 @@ def _tire_set(c: Array, load: float, axle_stiffness: float) -> SimpleNamespace:
     zeros = ("p_dx3", "p_hx1", "p_vx1", "r_hx1", "p_dy3", "p_hy1", "p_hy3", "p_vy1", "p_vy3",
              "r_by3", "r_hy1", "r_vy1", "r_vy3", "r_vy4", "r_vy5", "r_vy6")  # fmt: skip
     return SimpleNamespace(
-        p_cx1=c[tire.PCX1], p_dx1=c[tire.PDX1], p_ex1=c[tire.PEX1], p_kx1=c[tire.PKX1],
-        r_bx1=c[tire.RBX1], r_bx2=c[tire.RBX2], r_cx1=c[tire.RCX1], r_ex1=c[tire.REX1],
-        p_cy1=c[tire.PCY1], p_dy1=c[tire.PDY1], p_ey1=c[tire.PEY1],
+        p_cx1=c[mf.PCX1], p_dx1=c[mf.PDX1], p_ex1=c[mf.PEX1], p_kx1=c[mf.PKX1],
+        r_bx1=c[mf.RBX1], r_bx2=c[mf.RBX2], r_cx1=c[mf.RCX1], r_ex1=c[mf.REX1],
+        p_cy1=c[mf.PCY1], p_dy1=c[mf.PDY1], p_ey1=c[mf.PEY1],
         p_ky1=-0.5 * axle_stiffness / load,
-        r_by1=c[tire.RBY1], r_by2=c[tire.RBY2], r_cy1=c[tire.RCY1], r_ey1=c[tire.REY1],
+        r_by1=c[mf.RBY1], r_by2=c[mf.RBY2], r_cy1=c[mf.RCY1], r_ey1=c[mf.REY1],
         **dict.fromkeys(zeros, 0.0),
     )  # fmt: skip
 

@@ -7,7 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from lpvmpc.car import tire
+from lpvmpc.car import magic_formula as mf
 from lpvmpc.plant.mjcf import WHEELS, numeric
 from lpvmpc.plant.plant import Plant
 from lpvmpc.units import Array
@@ -72,8 +72,8 @@ def linear_model(model: mujoco.MjModel) -> tuple[Array, Array, Array]:
         K[6 + i, 6 + i] += float(np.ravel(model.jnt_stiffness[joint.id])[0])
         C[6 + i, 6 + i] += float(model.dof_damping[joint.dofadr[0]])
         c = numeric(model, f"tire_{axle}")
-        K += c[tire.KZ] * np.outer(J[2], J[2])
-        C += c[tire.CZ] * np.outer(J[2], J[2])
+        K += c[mf.KZ] * np.outer(J[2], J[2])
+        C += c[mf.CZ] * np.outer(J[2], J[2])
     for first, bar in ((6, "antiroll_f"), (8, "antiroll_r")):
         k = float(np.ravel(model.tendon_stiffness[model.tendon(bar).id])[0])
         K[first : first + 2, first : first + 2] += k * np.array([[1.0, -1.0], [-1.0, 1.0]])
@@ -132,7 +132,7 @@ def without_grip(plant: Plant) -> Plant:
     """Take all horizontal tire forces away, so that only the suspension acts."""
     for axle in "fr":
         c = plant.model.numeric(f"tire_{axle}").data
-        c[[tire.PKX1, tire.PKX2, tire.PKY1, tire.QSY1]] = 0.0
+        c[[mf.PKX1, mf.PKX2, mf.PKY1, mf.QSY1]] = 0.0
     plant.model.numeric("low_speed").data[1] = 0.0
     return plant
 
