@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from lpvmpc.errors import OptionError, UnknownNameError
 
-if TYPE_CHECKING:  # the help of a command lists the names, and must not wait for numba
+if TYPE_CHECKING:  # the help of a command lists the names, and must come at once
     from lpvmpc.car.params import VehicleParams
     from lpvmpc.car.tire import Tire
     from lpvmpc.control.stiffness.models import StiffnessModel
