@@ -4,6 +4,7 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -235,15 +236,26 @@ def test_bad_controllers_are_one_sentence(run, road, user_module, name, sentence
     assert err.startswith("Error: ") and err.count("\n") == 1
 
 
-def test_a_run_that_fails_midway_does_not_look_complete(run, road, sketch, user_module, tmp_path):
+def test_a_run_that_fails_midway_leaves_the_last_results(run, road, sketch, user_module, tmp_path):
     user_module(BROKEN)
     folder = tmp_path / "out"
     assert run("--scenario", road, "--out", folder)[0] == 0
-    assert (folder / "metrics.json").exists()
+    before = {file: file.read_bytes() for file in folder.rglob("*.*")}
+    assert len(before) == 4 and folder / "metrics.json" in before
     assert run("--scenario", road, "--out", folder, "--controller", "mine:Nan")[0] == 2
-    assert not (folder / "metrics.json").exists()
-    assert not (folder / "trace.parquet").exists()
-    assert not list((folder / "figures").glob("*.png"))
+    assert {file: file.read_bytes() for file in folder.rglob("*.*")} == before
+
+
+def test_results_are_replaced_together(run, road, sketch, user_module, tmp_path):
+    folder = tmp_path / "out"
+    assert run("--scenario", road, "--out", folder)[0] == 0
+    (folder / "notes.txt").write_text("mine")
+    (folder / "figures" / "old.png").touch()
+    assert run("--scenario", road, "--out", folder, "--controller", "stanley")[0] == 0
+    assert json.loads((folder / "metrics.json").read_text())["controller"] == "stanley"
+    names = sorted(file.name for file in folder.rglob("*"))
+    assert names == ["figures", "metrics.json", "notes.txt", "sketch.png", "timing.parquet",
+                     "trace.parquet"]  # fmt: skip
 
 
 def test_a_mistyped_option_leaves_the_last_run_alone(run, road, sketch, tmp_path):
@@ -269,6 +281,42 @@ def test_a_machine_that_cannot_draw_is_a_warning(run, road, sketch, monkeypatch)
     assert err == "Warning: no video: No EGL on this machine.\n"
 
 
+def test_glfw_without_a_display_is_one_warning(run, road, sketch, monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("MUJOCO_GL", "glfw")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        code, _, err = run("--scenario", road, "--render", "--out", "here")
+    assert code == 0 and err.count("\n") == 1
+    assert err.startswith("Warning: no video: No OpenGL through glfw, which needs a display")
+    assert Path("here/metrics.json").exists()
+
+
+def test_a_file_whose_name_is_no_text_is_driven_and_saved(run, road, tmp_path):
+    odd = os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9.csv")
+    os.rename(road, odd)
+    code, out, err = run("--scenario", odd, "--controller", "stanley")
+    assert code == 0 and err == "" and "stanley on caf\ufffd" in out
+    result = json.loads(Path("runs/caf--stanley/metrics.json").read_text(encoding="utf-8"))
+    assert result["scenario"] == "caf\ufffd"
+    assert result["record"]["options"]["scenario"].endswith("/caf\ufffd.csv")
+    assert list(Path("runs/caf--stanley/figures").glob("*.png"))
+    assert run("--scenario", odd[:-5] + "a.csv")[0] == 2
+
+
+def test_a_road_that_was_left_is_said_beside_the_verdict(run, tmp_path, sketch):
+    narrow = tmp_path / "narrow.csv"
+    narrow.write_text("# x_m,y_m,w_tr_right_m,w_tr_left_m\n"
+                      + "".join(f"{x},0,1.2,1.2\n" for x in range(0, 120, 2)))  # fmt: skip
+    code, out, err = run("--scenario", narrow, "--controller", "stanley",
+                         "--start-offset", 1, 0)  # fmt: skip
+    assert (code, err) == (0, "")
+    result = json.loads(Path("runs/narrow-stanley/metrics.json").read_text())
+    assert result["completed"] and 0.3 < result["left_road_s"] < 0.5 * result["duration_s"]
+    assert f"Completed, but {result['left_road_s']:.2f} s off the road." in out
+
+
 def test_the_viewer_needs_a_display(run, road, monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
@@ -287,8 +335,11 @@ class Slow:
 """
 
 
-def test_an_interrupt_saves_what_was_measured(road, user_module, tmp_path, root):
+@pytest.mark.parametrize("told", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_saves_what_was_measured(road, user_module, tmp_path, root, told):
     user_module(SLOW)
+    (tmp_path / "here").mkdir()
+    (tmp_path / "here" / "metrics.json").write_text('{"reason": "earlier"}')
     process = subprocess.Popen(
         [sys.executable, str(root / "eval" / "track.py"), "--scenario", str(road),
          "--controller", "mine:Slow", "--out", "here"],
@@ -298,9 +349,11 @@ def test_an_interrupt_saves_what_was_measured(road, user_module, tmp_path, root)
     while not (tmp_path / "started").exists() and time.monotonic() < deadline:
         time.sleep(0.05)
     time.sleep(0.5)
-    os.kill(process.pid, signal.SIGINT)
+    assert "earlier" in (tmp_path / "here" / "metrics.json").read_text()
+    os.kill(process.pid, told)
     out, err = process.communicate(timeout=60)
     assert process.returncode == 130, err
+    assert err == ""
     assert "Not completed: interrupted." in out
     result = json.loads((tmp_path / "here" / "metrics.json").read_text())
     assert result["reason"] == "interrupted" and not result["completed"]

@@ -20,9 +20,9 @@ import tyro
 
 from lpvmpc.commands.track_table import print_table
 from lpvmpc.control.registry import CONTROLLERS, STIFFNESS_MODELS
-from lpvmpc.errors import LPVMPCError, OutputError, RenderError
+from lpvmpc.errors import LPVMPCError, RenderError
 from lpvmpc.kit import cli
-from lpvmpc.kit.files import write_json
+from lpvmpc.kit.files import readable, replacing, write_json
 from lpvmpc.kit.provenance import commit, machine
 from lpvmpc.road.names import SCENARIOS
 
@@ -122,7 +122,6 @@ def main(options: Options) -> int:
     if options.json is not None:
         cli.writable_folder(options.json.parent)
     viewer = open_viewer(plant, scenario.path) if options.view else None
-    forget_last_run(out)
     with Progress(viewer) as progress:
         log = simulate(
             plant,
@@ -137,6 +136,8 @@ def main(options: Options) -> int:
             name=options.controller,
             options=scenario_options(options),
         )
+    if len(log) == 0 and log.meta["reason"] == "interrupted":
+        raise KeyboardInterrupt  # before the first instant: nothing to save
     result = metrics(log)
     print_table(result, log)
     interrupted = not save(options, log, result, out)
@@ -208,17 +209,6 @@ def warn_of_another_car(controller: Any, plant: Plant) -> None:
         print(f"Warning: {warning.message}", file=sys.stderr)
 
 
-def forget_last_run(out: Path) -> None:
-    """Remove the results of an earlier run, metrics.json first: what is left never looks whole."""
-    files = [out / "metrics.json", out / "trace.parquet", out / "timing.parquet"]
-    try:
-        for file in (*files, *sorted((out / "figures").glob("*.png"))):
-            file.unlink(missing_ok=True)
-    except OSError as error:
-        why = error.strerror or str(error)
-        raise OutputError(f"Cannot replace the results in {str(out)!r}: {why}.") from error
-
-
 class Progress:
     """Progress bar on a terminal and, where asked for, the live viewer."""
 
@@ -259,18 +249,14 @@ def open_viewer(plant: Plant, road: Road) -> Viewer:
     return Viewer(plant, road)
 
 
-def save(options: Options, log: Log, result: dict[str, Any], out: Path) -> bool:
-    """Write trace, timing, figures and, last, metrics.json; False after an interrupt."""
-    log.write(out)
-    whole = log.meta["reason"] != "interrupted"
-    if whole and len(log) > 1:
-        try:
-            from lpvmpc.picture.figures import save_all
+RESULTS = ("metrics.json", "figures/*.png", "timing.parquet", "trace.parquet")
+"""What a run leaves in its folder; the last run's results stay until all of these are there."""
 
-            save_all(log, out / "figures")
-        except KeyboardInterrupt:  # the figures are given up, the measurements are not
-            whole = False
-    given = {k: str(v) if isinstance(v, Path) else v for k, v in asdict(options).items()}
+
+def save(options: Options, log: Log, result: dict[str, Any], out: Path) -> bool:
+    """Write trace, timing, figures and metrics.json, all together; False after an interrupt."""
+    whole = log.meta["reason"] != "interrupted"
+    given = {k: readable(v) if isinstance(v, Path | str) else v for k, v in asdict(options).items()}
     record = {
         "options": given,
         "weights": log.weights,
@@ -279,9 +265,18 @@ def save(options: Options, log: Log, result: dict[str, Any], out: Path) -> bool:
         "commit": commit(),
         "machine": machine(),
     }
+    with replacing(out, RESULTS) as new:
+        log.write(new)
+        if whole and len(log) > 1:
+            try:
+                from lpvmpc.picture.figures import save_all
+
+                save_all(log, new / "figures")
+            except KeyboardInterrupt:  # the figures are given up, the measurements are not
+                whole = False
+        write_json(new / "metrics.json", {**result, "record": record})
     if options.json is not None:
         write_json(options.json, result)
-    write_json(out / "metrics.json", {**result, "record": record})
     return whole
 
 

@@ -16,9 +16,11 @@ from pathlib import Path
 from typing import TypeVar
 
 from lpvmpc.errors import LPVMPCError, OptionError, OutputError
+from lpvmpc.kit.signals import sigterm_is_ctrl_c
 
 DONE, BAD_INPUT, NOT_COMPLETED, INTERRUPTED = 0, 2, 3, 130
-"""Exit codes: done; bad input (one line on stderr); the run did not complete; Ctrl-C."""
+"""Exit codes: done; bad input (one line on stderr); the run did not complete; Ctrl-C or
+SIGTERM."""
 
 CHOICE = r"invalid choice '(.*)' for argument '(.*)'\. Expected one of \((.*)\)"
 """tyro's complaint about a word that is none of those allowed."""
@@ -39,8 +41,12 @@ def run(
         main: Does the work and returns an exit code.
         arguments: Command line (default: sys.argv).
     """
+    for stream in (sys.stdout, sys.stderr):  # names of files need not be text
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     try:
-        return main(parse(options, arguments))
+        with sigterm_is_ctrl_c():
+            return main(parse(options, arguments))
     except LPVMPCError as error:
         print("Error:", " ".join(str(error).split()), file=sys.stderr)
         return BAD_INPUT

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Mapping
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lpvmpc.errors import LPVMPCError, OutputError
+from lpvmpc.kit.signals import ctrl_c_waits
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -62,6 +64,51 @@ def into(folder: str | os.PathLike[str]) -> Iterator[Path]:
         raise
     except OSError as error:
         raise OutputError(f"Cannot write into {str(path)!r}: {error.strerror or error}.") from error
+
+
+@contextmanager
+def replacing(folder: str | os.PathLike[str], names: Sequence[str]) -> Iterator[Path]:
+    """A folder to write results into that shall replace the earlier ones together.
+
+    The earlier ones stay until the body is through; if it raises, they stay for good. Ctrl-C waits
+    while they are exchanged.
+
+    Args:
+        folder: An existing folder, which may hold earlier results and other files.
+        names: Names of the results, patterns like `figures/*.png` among them. The first goes first
+            and comes last: where it is, all is there.
+
+    Yields:
+        An empty folder, in which the body writes under the same names.
+
+    Raises:
+        OutputError: The folder cannot be written.
+    """
+    path = Path(folder)
+    part = path / f".new.{os.getpid()}.part"
+    try:
+        part.mkdir()
+        yield part
+        new = [file for name in reversed(names) for file in sorted(part.glob(name))]
+        with ctrl_c_waits():
+            for name in names:
+                for file in path.glob(name):
+                    file.unlink()
+            for file in new:
+                target = path / file.relative_to(part)
+                target.parent.mkdir(exist_ok=True)
+                os.replace(file, target)
+    except LPVMPCError:
+        raise
+    except OSError as error:
+        raise OutputError(f"Cannot write into {str(path)!r}: {error.strerror or error}.") from error
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def readable(name: str | os.PathLike[str]) -> str:
+    """The name of a file as text: bytes that are none become the replacement character."""
+    return os.fsencode(name).decode("utf-8", "replace")
 
 
 def write_text(file: str | os.PathLike[str], text: str) -> None:

@@ -19,6 +19,7 @@ from itertools import islice
 from typing import Any, TypeVar
 
 from lpvmpc.errors import LPVMPCError, OptionError, described
+from lpvmpc.kit.signals import ctrl_c_waits
 
 BACKENDS = ("local", "ray")
 """Where work can be done: processes of this machine, or a Ray cluster."""
@@ -60,7 +61,7 @@ class _Processes(Pool):
 
         # one thing per message: it takes long, and is to be kept as soon as it is done
         parallel = Parallel(return_as="generator_unordered", batch_size=1)
-        with _ctrl_c_waits():  # joblib cannot stop processes that it has half started
+        with ctrl_c_waits():  # joblib cannot stop processes that it has half started
             self.answers = parallel(_calls(function, things, os.getpid()))
         return iter(self.answers)
 
@@ -70,22 +71,6 @@ class _Processes(Pool):
             with warnings.catch_warnings():  # that work is thrown away is what is meant
                 warnings.filterwarnings("ignore", ".* tasks .*", UserWarning, "joblib")
                 self.answers.close()
-
-
-@contextmanager
-def _ctrl_c_waits() -> Iterator[None]:
-    """Put Ctrl-C off until the body is through."""
-    if threading.current_thread() is not threading.main_thread():  # it never gets one
-        yield
-        return
-    pressed = []
-    before = signal.signal(signal.SIGINT, lambda *_: pressed.append(True))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-    if pressed:
-        signal.raise_signal(signal.SIGINT)
 
 
 class _Ray(Pool):

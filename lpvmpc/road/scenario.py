@@ -15,6 +15,7 @@ import numpy as np
 
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.errors import OptionError, PathError, UnknownNameError
+from lpvmpc.kit.files import readable
 from lpvmpc.road import catalogue, centreline, track_file
 from lpvmpc.road.catalogue import Road
 from lpvmpc.road.demand import shortfalls, start_speed_limit
@@ -128,7 +129,7 @@ def load_scenario(
         path = base.path if closed is None else _with_ends(base.path, closed, name)
     elif isinstance(name_or_csv, FilePath) or name.lower().endswith(".csv") or "/" in name:
         base = _from_csv(FilePath(name_or_csv), closed, smoothing, params)
-        path, name = base.path, FilePath(name_or_csv).stem
+        path, name = base.path, readable(FilePath(name_or_csv).stem)
     else:
         raise UnknownNameError("scenario", name, SCENARIOS)
     _check_curvature(path, params, name)
@@ -242,21 +243,22 @@ def _from_csv(
     except PathError as error:
         raise PathError(f"{file}: {error}") from None
     period = path.length if path.closed else None
+    told = readable(file)
     warnings = []
     for i, distance in fitted.bad:
         warnings.append(
-            f"Row {i + 1} (line {track.lines[i]}) of {file} lies {distance:.2f} m beside the line "
+            f"Row {i + 1} (line {track.lines[i]}) of {told} lies {distance:.2f} m beside the line "
             "through its neighbours; it is taken for a bad measurement and put onto that line."
         )
     if fitted.moved is not None:
         i, shift = fitted.moved
         warnings.append(
             f"Smoothing over {fitted.cut_off:.3g} m moved row {i + 1} (line {track.lines[i]}) of "
-            f"{file} by {shift:.2f} m; the option smoothing sets its length."
+            f"{told} by {shift:.2f} m; the option smoothing sets its length."
         )
     return Road(
         path=path,
-        source=f"{file}, smoothed over {fitted.cut_off:.0f} m, which moved its points by up to "
+        source=f"{told}, smoothed over {fitted.cut_off:.0f} m, which moved its points by up to "
         f"{path.largest_shift:.2f} m.",
         vx=None if track.vx is None else (s, track.vx[:keep]),
         wind=Wind()

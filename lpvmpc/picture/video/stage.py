@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import os
 import sys
+import warnings
 from typing import Any
 
 import cv2
@@ -228,7 +229,16 @@ def gl_context(width: int, height: int) -> Any:
         elif backend == "osmesa":
             from mujoco.osmesa import GLContext
         elif backend in ("glfw", "on", "enable", "enabled", "true", "1"):
+            import glfw
             from mujoco.glfw import GLContext
+
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", glfw.GLFWError)  # said in our own words instead
+                context = GLContext(width, height) if glfw.init() else None
+            if context is None or not context._context:
+                raise RenderError("No OpenGL through glfw, which needs a display; unset MUJOCO_GL, "
+                                  "or set it to egl or osmesa.")
+            return context
         else:
             raise RenderError(f"MUJOCO_GL is {backend!r}, which draws nothing; unset it, or set it "
                               "to egl, osmesa or glfw.")
