@@ -1,6 +1,9 @@
+import re
+
 import mujoco
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull
 
 from lpvmpc.errors import ModelError
 from lpvmpc.plant import callbacks
@@ -107,6 +110,31 @@ def test_sensors_show_the_wheel_speeds(model):
     mujoco.mj_resetDataKeyframe(model, data, model.key("rest").id)
     mujoco.mj_forward(model, data)
     assert data.sensor("imu_acceleration").data == pytest.approx([0, 0, 9.81], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "lamp, outwards",
+    [("taillight_left", (-4, 5, 0)), ("taillight_right", (-4, -5, 0)),
+     ("headlight_left", (4, 4, 1)), ("headlight_right", (4, -4, 1))],
+)  # fmt: skip
+def test_the_body_does_not_come_through_the_lamps(text, lamp, outwards):
+    def hull(name):
+        vertices = re.search(rf'<mesh name="{name}" class="shape" vertex="(.*?)"', text, re.DOTALL)
+        return ConvexHull(np.array(vertices.group(1).split(), dtype=float).reshape(-1, 3))
+
+    def reach(hull, points):
+        """How far outwards of the points a convex body ends [mm]."""
+        slope = hull.equations[:, :3] @ outwards
+        ahead = slope > 1e-9
+        height = points @ hull.equations[ahead, :3].T + hull.equations[ahead, 3]
+        return (-height / slope[ahead]).min(axis=1)
+
+    outwards = np.array(outwards) / np.linalg.norm(outwards)
+    rng, tub, shape = np.random.default_rng(0), hull("tub"), hull(lamp)
+    corners = shape.points[shape.vertices]
+    inside = rng.dirichlet(np.full(len(corners), 0.1), 2000) @ corners
+    # made 12 mm; MuJoCo's depth buffer tells a millimetre from 10 m
+    assert (reach(shape, inside) - reach(tub, inside)).min() > 8.0
 
 
 def test_the_header_warns_that_the_tires_need_the_callbacks(text):
