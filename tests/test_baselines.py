@@ -8,7 +8,7 @@ import pytest
 from lpvmpc.car.bicycle import CORRECTED, Bicycle, lpv
 from lpvmpc.car.bicycle import NU as FULL_NU
 from lpvmpc.car.bicycle import NX as FULL_NX
-from lpvmpc.control.formulation import UNITS
+from lpvmpc.control.cost import UNITS
 from lpvmpc.control.geometric import (
     PurePursuit,
     PurePursuitWeights,
@@ -291,7 +291,7 @@ def test_a_refused_solve_follows_the_plan_and_then_brakes(car):
     state, preview = seen(ey=0.2)
     controller.reset(RNG)
     controller.command(state, preview)
-    plan = controller._plan.copy()  # already shifted
+    plan = controller.horizon.plan.copy()  # already shifted
     refusal = QPResult(np.empty(0), False, "MAX_ITER_REACHED", np.nan, 0.0, 0.0)
     controller.solver.solve = lambda *arrays: refusal
     for k, expected in enumerate(("shifted", "shifted", "shifted", "braking", "braking")):

@@ -5,10 +5,12 @@ import pytest
 
 from lpvmpc.car.bicycle import DELTA, NX, Bicycle, derivative
 from lpvmpc.control import weights_file
-from lpvmpc.control.formulation import EY_MAX, PAPER, PAPER_WEIGHTS, Formulation, Weights
-from lpvmpc.control.lpv_mpc import BRAKING, LPVMPC
+from lpvmpc.control.cost import PAPER_WEIGHTS, Weights
+from lpvmpc.control.formulation import EY_MAX, PAPER, Formulation
+from lpvmpc.control.lpv_mpc import LPVMPC
 from lpvmpc.control.qp import QPResult
 from lpvmpc.control.stiffness.models import ConstantStiffness
+from lpvmpc.control.tracker import BRAKING
 from lpvmpc.errors import OptionError
 from lpvmpc.interface import Preview, State
 from lpvmpc.plant.mjcf import packaged_car
@@ -104,7 +106,7 @@ def test_an_initial_error_is_driven_to_zero_within_the_bounds(car):
     controller = linear_tires(car)
     states, commands = drive(car, controller, 0.0, 15.0, 150, x=x)
     assert abs(states[-1, 3]) < 1e-4
-    assert np.abs(commands[:, 0]).max() <= controller._delta_max + 1e-6
+    assert np.abs(commands[:, 0]).max() <= controller.horizon.delta_max + 1e-6
     # the servo's rate: tighter than the paper's pi/12 per period; 1e-6 is the KKT tolerance
     assert np.abs(np.diff(commands[:, 0])).max() <= car.delta_rate_max * TS + 1e-6
 
@@ -161,7 +163,7 @@ def test_a_refused_solve_follows_the_plan_and_then_brakes(car):
     seen, commands = state_of(x, np.zeros(NX)), []
     controller.reset(np.random.default_rng(0))
     controller.command(seen, preview_of(x, 0.0, 15.0))
-    plan = controller._plan.copy()  # already shifted
+    plan = controller.horizon.plan.copy()  # already shifted
     refusal = QPResult(np.empty(0), False, "MAX_ITER_REACHED", np.nan, 0.0, 0.0)
     controller.solver.solve = lambda *arrays: refusal
     for expected in ("shifted", "shifted", "shifted", "braking", "braking"):

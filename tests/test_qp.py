@@ -4,42 +4,44 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-from lpvmpc.control.qp import QPSolver, condense, kkt_residual, n_rows
+from lpvmpc.control.horizon import Horizon
+from lpvmpc.control.qp import QPSolver, condense, kkt_residual
 from lpvmpc.errors import OptionError
 
 N, NX, NU = 8, 3, 2
+WRITTEN = ("H", "g", "C", "lo", "hi", "free", "forced")
 
 
 def problem(
     seed=0, x0=None, *, u_max=5.0, du_max=1.0, soft_bound=0.5, r=0.1, n_rates=NU, soft_every=1
 ):
-    """A random stable tracking problem as the arguments of `condense`, and the arrays written."""
+    """A random stable tracking problem: the fields that `condense` reads and those it wrote."""
     rng = np.random.default_rng(seed)
     Ad = np.repeat((np.eye(NX) + 0.1 * rng.standard_normal((NX, NX)))[None], N, axis=0)
     Bd = np.repeat(0.5 * rng.standard_normal((1, NX, NU)), N, axis=0)
     cd = 0.02 * rng.standard_normal((N, NX))
-    n, m = N * NU + 1, n_rows(N, NU, n_rates, soft_every)
-    given = {
-        "Ad": Ad, "Bd": Bd, "cd": cd,
-        "x0": rng.standard_normal(NX) if x0 is None else x0,
-        "x_ref": 0.3 * rng.standard_normal((N, NX)),
-        "q": np.tile([1.0, 0.0, 3.0], (N, 1)),
-        "r_du": np.full(NU, r),
-        "u_prev": 0.1 * rng.standard_normal(NU),
-        "u_lo": np.full((N, NU), -u_max), "u_hi": np.full((N, NU), u_max),
-        "du_max": np.full(n_rates, du_max),
-        "soft": 0, "soft_every": soft_every, "soft_bound": soft_bound,
-        "slack_weights": np.array([100.0, 1000.0]),
-        "scale": np.array([0.5, 2.0]),
-        "terminal": 0.5 * np.eye(NX + NU) + 0.1,
-        "z_ref": 0.2 * rng.standard_normal(NX + NU),
-    }  # fmt: skip
-    written = {
-        "H": np.empty((n, n)), "g": np.empty(n), "C": np.empty((m, n)),
-        "lo": np.empty(m), "hi": np.empty(m),
-        "free": np.empty((N, NX)), "forced": np.empty((N, NX, N * NU)),
-    }  # fmt: skip
-    condense(*given.values(), *written.values())
+    h = Horizon.allocated(
+        N, NX, NU, ns=NX + 1, soft_every=soft_every,
+        Ts=1.0, car=np.zeros(0),
+        q=np.tile([1.0, 0.0, 3.0], (N, 1)), r_du=np.full(NU, r),
+        du_max=np.full(n_rates, du_max), soft=0, soft_bound=soft_bound,
+        slack_weights=np.array([100.0, 1000.0]), scale=np.array([0.5, 2.0]),
+    )  # fmt: skip
+    x0 = rng.standard_normal(NX) if x0 is None else x0
+    h.Ad[:], h.Bd[:], h.cd[:] = Ad, Bd, cd
+    h.schedule[:] = np.nan  # but for its first row, and there for the model's states, not read
+    h.schedule[0, 1:] = x0
+    h.x_ref[:] = 0.3 * rng.standard_normal((N, NX))
+    h.queue[-1] = 0.1 * rng.standard_normal(NU)
+    h.u_lo[:], h.u_hi[:] = -u_max, u_max
+    h.terminal[:] = 0.5 * np.eye(NX + NU) + 0.1
+    h.z_ref[:] = 0.2 * rng.standard_normal(NX + NU)
+    for name in WRITTEN:
+        getattr(h, name)[:] = np.nan
+    condense(h.handle)
+    given = {name: value for name, value in vars(h).items() if name not in WRITTEN}
+    given |= {"x0": h.schedule[0, 1:], "u_prev": h.queue[-1]}
+    written = {name: getattr(h, name) for name in WRITTEN}
     return given, written
 
 
@@ -155,17 +157,14 @@ def test_without_constraints_the_first_input_is_the_lqr_input():
     P = solve_discrete_are(Aa, Ba, Q + 1e-9 * np.eye(3), Rw)
     K = np.linalg.solve(Rw + Ba.T @ P @ Ba, Ba.T @ P @ Aa)
     x0, u_prev, horizon = rng.standard_normal(2), rng.standard_normal(1), 200
-    n, m = horizon + 1, n_rows(horizon, 1, 1)
-    H, g, C = np.empty((n, n)), np.empty(n), np.empty((m, n))
-    lo, hi = np.empty(m), np.empty(m)
-    big = np.full((horizon, 1), 1e6)
-    condense(
-        np.repeat(A[None], horizon, 0), np.repeat(B[None], horizon, 0), np.zeros((horizon, 2)),
-        x0, np.zeros((horizon, 2)), np.tile([2.0, 1.0], (horizon, 1)), np.array([0.5]), u_prev,
-        -big, big, np.array([1e6]), 0, 1, 1e6, np.array([1.0, 1.0]), np.array([1.0]),
-        np.zeros((3, 3)), np.zeros(3), H, g, C, lo, hi,
-        np.empty((horizon, 2)), np.empty((horizon, 2, horizon)),
+    h = Horizon.allocated(
+        horizon, 2, 1, Ts=1.0, car=np.zeros(0), Ad=A, Bd=B, q=np.tile([2.0, 1.0], (horizon, 1)),
+        r_du=np.array([0.5]), u_lo=-1e6, u_hi=1e6, du_max=np.array([1e6]), soft=0, soft_bound=1e6,
+        slack_weights=np.array([1.0, 1.0]), scale=np.array([1.0]),
     )  # fmt: skip
+    h.schedule[0], h.queue[-1, 0] = x0, u_prev[0]
+    condense(h.handle)
+    H, g = h.H, h.g
     z = np.linalg.solve(H[:-1, :-1], -g[:-1])
     # condense sums x_1..x_N and the LQR x_0..: the difference does not depend on u
     expected = u_prev - K @ np.append(x0, u_prev)

@@ -156,7 +156,7 @@ def test_without_slips_the_printed_controller_is_the_plain_one_and_signs_lose_th
 
 
 def printed_weights():
-    from lpvmpc.control.formulation import PAPER_WEIGHTS
+    from lpvmpc.control.cost import PAPER_WEIGHTS
     from lpvmpc.control.weights_file import as_dict
 
     return as_dict(PAPER_WEIGHTS)

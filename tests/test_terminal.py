@@ -5,7 +5,7 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from lpvmpc.car.bicycle import CORRECTED, EPSI, EY, NU, NX, VX, Bicycle, discretise, lpv
-from lpvmpc.control.terminal_cost import NZ, SPEEDS, cost_to_go
+from lpvmpc.control.cost import NZ, SPEEDS, cost_to_go
 from lpvmpc.plant.mjcf import packaged_car
 
 TS = 0.033

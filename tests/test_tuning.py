@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lpvmpc.control import weights_file
-from lpvmpc.control.formulation import Weights
+from lpvmpc.control.cost import Weights
 from lpvmpc.control.registry import CONTROLLERS
 from lpvmpc.errors import DataError, LPVMPCError, OptionError, UnknownNameError
 from lpvmpc.kit.workers import workers

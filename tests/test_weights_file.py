@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lpvmpc.control import weights_file
-from lpvmpc.control.formulation import PAPER_WEIGHTS, Weights
+from lpvmpc.control.cost import PAPER_WEIGHTS, Weights
 from lpvmpc.control.registry import CONTROLLERS
 from lpvmpc.errors import DataError, OptionError, OutputError
 from lpvmpc.sim.names import load_controller

@@ -116,7 +116,7 @@ def report(
 
 def weights() -> str:
     """The weights that the controller ships with."""
-    from lpvmpc.control.formulation import Weights
+    from lpvmpc.control.cost import Weights
     from lpvmpc.control.weights_file import shipped
 
     used = asdict(shipped("lpv-mpc", Weights()))

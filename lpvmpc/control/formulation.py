@@ -1,4 +1,4 @@
-"""What the adaptive LPV-MPC is made of and what it weighs: its parts, limits, units and weights.
+"""What the adaptive LPV-MPC is made of and where its bounds lie: its parts and limits.
 
 `PAPER` is the paper's plain formulation, `Formulation()` ours; each field that differs is one step
 between them, and each can be switched off alone.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -20,82 +20,8 @@ DELTA_MAX_PAPER = np.pi / 6
 """Largest steering angle of the paper's Table 2 [rad]."""
 EY_MAX = 0.3
 """Lateral error bound of the paper's Table 2 [m]."""
-UNITS = {
-    "vx": 1.0,
-    "vy": 1.0,
-    "r": 0.5,
-    "ey": EY_MAX,
-    "epsi": DELTA_MAX_PAPER,
-    "delta": DELTA_MAX_PAPER,
-    "ax": 5.0,
-}
-"""Size of each variable that counts as one in the cost [m/s, m/s, rad/s, m, rad, rad, m/s2]."""
 SCALE = np.array([0.1, 1.0])
 """Units of the inputs inside the QP [rad, m/s2], so that its entries are of order one."""
-SLACK_WEIGHTS = np.array([0.0, 1e4])
-"""Linear and quadratic price of leaving the ey bound [1/m, 1/m2]. Without a linear one the bound
-yields by millimetres, and while it is not active the unconstrained solution is the solution: that
-is where ProxQP begins, and it needs one iteration instead of two."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Weights:
-    """Everything that is tuned. Weights are per second and normalised by `UNITS`.
-
-    The values here are set by hand; what the controller drives with where none are given is
-    `weights/lpv-mpc.toml`, which `eval/tune.py` wrote.
-    """
-
-    RANGES: ClassVar[dict[str, tuple[float, float]]] = {
-        "q_vx": (3.0, 300.0),
-        "q_vy": (0.01, 10.0),
-        "q_r": (0.01, 10.0),
-        "q_ey": (8.0, 800.0),
-        "q_epsi": (8.0, 800.0),
-        "r_delta": (0.005, 0.5),
-        "r_ax": (0.004, 0.4),
-        "terminal": (0.0, 1.0),
-        "observer_gain": (0.1, 0.6),
-        "slip_cap": (0.1, 0.18),
-    }
-    """Where tuning searches: a decade to either side of the values set by hand, what these leave
-    out near nothing, and for gain and cap the values that keep this car on the road."""
-
-    q_vx: float = 30.0
-    """Weight of the speed error."""
-    q_vy: float = 0.0
-    """Weight of the lateral speed error."""
-    q_r: float = 0.0
-    """Weight of the yaw rate error."""
-    q_ey: float = 80.0
-    """Weight of the lateral error."""
-    q_epsi: float = 80.0
-    """Weight of the heading error."""
-    r_delta: float = 0.05
-    """Weight of the steering rate."""
-    r_ax: float = 0.04
-    """Weight of the jerk."""
-    terminal: float = 1.0
-    """Factor on the cost-to-go at the end of the horizon, 0 to 1."""
-    observer_gain: float = 0.3
-    """Gain of the disturbance observer, 0 to 1."""
-    slip_cap: float = 0.14
-    """Largest front slip angle that a command may ask for [rad]."""
-
-    def __post_init__(self) -> None:
-        """Refuse what no cost can mean."""
-        for f in fields(self):
-            value = getattr(self, f.name)
-            ok = isinstance(value, int | float) and np.isfinite(value) and value >= 0.0
-            if not ok:
-                raise OptionError(f"weight {f.name}", value, "a number of at least 0")
-        if self.observer_gain > 1.0:
-            raise OptionError("weight observer_gain", self.observer_gain, "a number from 0 to 1")
-        if self.slip_cap < 0.01:
-            raise OptionError("weight slip_cap", self.slip_cap, "at least 0.01 rad")
-        for name in ("r_delta", "r_ax"):
-            if getattr(self, name) <= 0.0:
-                raise OptionError(f"weight {name}", getattr(self, name), "a number above 0")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,10 +86,6 @@ PAPER = Formulation(
     traction=False,
 )
 """The paper's plain formulation on the corrected matrices."""
-
-
-PAPER_WEIGHTS = Weights(q_epsi=800.0, r_delta=0.18, terminal=0.0)
-"""Weights for `PAPER`, which loses the MuJoCo car with the weights of the full controller."""
 
 
 def changed(default: Formulation, given: Formulation | Mapping[str, Any] | None) -> Formulation:

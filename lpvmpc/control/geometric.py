@@ -15,6 +15,7 @@ import numpy as np
 
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.control.pid import PIDGains, SpeedPID
+from lpvmpc.control.tracker import checked_delay
 from lpvmpc.control.weights_file import chosen
 from lpvmpc.errors import OptionError
 from lpvmpc.interface import Command, Preview, State
@@ -36,8 +37,7 @@ class Geometric(Generic[WeightsT]):
 
     def __init__(self, car: VehicleParams, weights: WeightsT, delay: int) -> None:
         """Args: the car, weights, delay (not compensated) [periods]."""
-        if not (isinstance(delay, int) and 0 <= delay <= 30):
-            raise OptionError("delay", delay, "a whole number of periods from 0 to 30")
+        checked_delay(delay)
         self.car = car
         self.weights = weights
         self.pid = SpeedPID(self.car, weights, self.Ts)

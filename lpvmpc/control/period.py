@@ -1,22 +1,13 @@
 """The compiled numerics of one control period: model, references, bounds, QP, and what follows.
 
-One call from Python builds the whole QP (`period`), one tells what the last period taught
-(`compare`), one carries the solution into the next period (`accept`, `shift`): each call costs its
-own, and numbers that go through Python cost more than those that stay here.
+One call from Python tells what the last period taught and where the plan begins (`estimate`), one
+builds the whole QP (`write`), one makes its solution the plan (`accept`), one carries it into the
+next period (`shift`): each call costs its own, and numbers that go through Python cost more than
+those that stay here.
 
-Arguments that recur, for a horizon of N periods of which N / n share one frozen model; states are
-those of `bicycle`, inputs (delta [rad], ax [m/s2]):
-
-- schedule, prediction: states at the ends of the periods, shape (N + 1, 11); knots: at the ends of
-  the intervals that share a model, shape (n + 1, 11);
-- kappa [1/m], vx_ref [m/s]: reference at the same instants, shape (N + 1,) or longer;
-- tires: affine axle forces (Cf [N/rad], F0f [N], Cr, F0r) per interval, shape (n, 4);
-- disturbance: unmodelled acceleration of (vx, vy, r) [m/s2, m/s2, rad/s2], shape (3,);
-- car: `Bicycle`; constants: the same as an array; form: CORRECTED or PRINTED; method: EXACT or
-  EULER; Ts: control period [s];
-- drive: (largest braking [m/s2], drive force [N], power [W], mass with the wheels' spin [kg]);
-- plan, u_lo, u_hi: inputs over the horizon, shape (N, 2); u_prev: the last one, shape (2,);
-- q, r_du, H, g, C, lo, hi, free, forced: see `qp.condense`.
+Arguments that recur: h, the handle of a `Horizon`, whose fields are told there; kappa [1/m] and
+vx_ref [m/s], the reference at the ends of the periods, from now or, after the delay, from where the
+plan begins; car, the `Bicycle` of `h.car`. States and inputs are those of `bicycle`.
 """
 
 from __future__ import annotations
@@ -27,7 +18,6 @@ from numba import njit
 from lpvmpc.car.bicycle import (
     DELTA,
     EULER,
-    EY,
     NU,
     NX,
     VX,
@@ -39,19 +29,21 @@ from lpvmpc.car.bicycle import (
     steady_state,
     unpack,
 )
+from lpvmpc.control.cost import terminal_weight
 from lpvmpc.control.disturbance import LIMIT, update
-from lpvmpc.control.formulation import EY_MAX, SCALE, SLACK_WEIGHTS
 from lpvmpc.control.qp import condense
-from lpvmpc.control.terminal_cost import SPEEDS
+from lpvmpc.control.traction import hold as hold_drive
 
 
 @njit(cache=True)
-def freeze(schedule, kappa, tires, disturbance, car, form, method, Ts, Ad, Bd, cd):
+def freeze(h, kappa, car):
     """Freeze the LPV model along the schedule and discretise it, in place.
 
-    One row of `tires` and one model serve N / len(tires) periods; the exact hold is frozen in the
-    middle of them, Euler at their start, as the paper's.
+    One row of axle forces and one model serve N / n periods; the exact hold is frozen in the middle
+    of them, Euler at their start, as the paper's.
     """
+    schedule, tires, disturbance = h.schedule, h.axle_forces, h.disturbance
+    Ad, Bd, cd, form, method, Ts = h.Ad, h.Bd, h.cd, h.form, h.method, h.Ts
     span = Ad.shape[0] // tires.shape[0]
     A_, B_, c_ = np.empty((NX, NX)), np.empty((NX, NU)), np.empty(NX)
     inputs, held = np.empty((NX, NU + 1)), np.empty((NX, NU + 1))
@@ -81,8 +73,9 @@ def freeze(schedule, kappa, tires, disturbance, car, form, method, Ts, Ad, Bd, c
 
 
 @njit(cache=True)
-def references(vx_ref, kappa, tires, disturbance, car, steady, x_ref):
+def references(h, kappa, vx_ref, car):
     """State reference at steps 1..N of the horizon, in place."""
+    tires, disturbance, steady, x_ref = h.axle_forces, h.disturbance, h.steady, h.x_ref
     N = x_ref.shape[0]
     span = N // tires.shape[0]
     for k in range(N):
@@ -94,30 +87,16 @@ def references(vx_ref, kappa, tires, disturbance, car, steady, x_ref):
 
 
 @njit(cache=True)
-def terminal_cost(table, vx, x_ref, weight, z_ref):
-    """Terminal weight at a speed, and the steady state that it pulls towards, in place."""
-    n = len(SPEEDS)
-    k = 0
-    while k < n - 2 and SPEEDS[k + 1] < vx:
-        k += 1
-    share = min(max((vx - SPEEDS[k]) / (SPEEDS[k + 1] - SPEEDS[k]), 0.0), 1.0)
-    for i in range(NX + NU):
-        for j in range(NX + NU):
-            weight[i, j] = (1.0 - share) * table[k, i, j] + share * table[k + 1, i, j]
-    for i in range(NX):
-        z_ref[i] = x_ref[i]
-    z_ref[NX], z_ref[NX + 1] = x_ref[DELTA], x_ref[A]
-
-
-@njit(cache=True)
-def bounds(schedule, u_prev, du_max, delta_max, slip_cap, car, drive, u_lo, u_hi):
+def bounds(h, car, slip_cap, force):
     """Input bounds along the horizon, in place; always reachable within the increment bounds.
 
-    Steering: +-delta_max, and no front slip angle above `slip_cap` along the prediction, since
-    past the tire's peak more steering turns the car less. Acceleration: motor torque and power at
-    the predicted speed, and the brakes.
+    Steering: +-delta_max, and no front slip angle above `slip_cap` [rad] along the schedule, since
+    past the tire's peak more steering turns the car less. Acceleration: what the drive's `force`
+    [N] and power allow at the speed of the schedule, and the brakes.
     """
-    ax_min, force, power, m_eff = drive
+    schedule, u_lo, u_hi, du_max, delta_max = h.schedule, h.u_lo, h.u_hi, h.du_max, h.delta_max
+    ax_min, _, power, m_eff = h.drive
+    u_prev = h.queue[-1]
     for k in range(u_lo.shape[0]):
         vx = max(schedule[k, VX], car.vx_min)
         flow = np.arctan2(schedule[k, VY] + car.lf * schedule[k, R], vx)
@@ -132,54 +111,75 @@ def bounds(schedule, u_prev, du_max, delta_max, slip_cap, car, drive, u_lo, u_hi
 
 
 @njit(cache=True)
-def period(
-    schedule, kappa, vx_ref, tires, disturbance, u_prev, constants, form, method, steady, Ts, table,
-    du_max, delta_max, slip_cap, drive, q, r_du, work, H, g, C, lo, hi,
-):  # fmt: skip
-    """Model, references, bounds and QP of one period; one call, since each call costs its own."""
-    car = unpack(constants)
-    Ad, Bd, cd, x_ref, u_lo, u_hi, terminal, z_ref, free, forced = work
-    freeze(schedule, kappa, tires, disturbance, car, form, method, Ts, Ad, Bd, cd)
-    references(vx_ref, kappa, tires, disturbance, car, steady, x_ref)
-    terminal_cost(table, vx_ref[len(x_ref)], x_ref[-1], terminal, z_ref)
-    bounds(schedule, u_prev, du_max, delta_max, slip_cap, car, drive, u_lo, u_hi)
-    condense(
-        Ad, Bd, cd, schedule[0], x_ref, q, r_du, u_prev, u_lo, u_hi, du_max, EY,
-        len(x_ref) // len(tires), EY_MAX, SLACK_WEIGHTS, SCALE, terminal, z_ref, H, g, C, lo,
-        hi, free, forced,
-    )  # fmt: skip
+def write(h, kappa, vx_ref, wheel_speed, friction):
+    """Model, references, bounds and QP of one period, in place.
+
+    Args:
+        h: See the head of this file, also for kappa and vx_ref: from now on, N + delay + 1 points.
+        kappa: As above.
+        vx_ref: As above.
+        wheel_speed: Spin of the wheels [rad/s], shape (4,).
+        friction: Scale of the road's friction as estimated [-].
+    """
+    car = unpack(h.car)
+    delay = len(h.queue) - 1
+    kappa, vx_ref = kappa[delay:], vx_ref[delay:]
+    _, force, _, m_eff = h.drive
+    if h.traction:
+        R_w, half_track, vx_min = h.wheels
+        x, allowed = h.x_last, h.allowed
+        allowed[0] = hold_drive(
+            allowed[0], force / m_eff, h.schedule[0, A], wheel_speed, x[VX], x[R], friction, R_w,
+            half_track, vx_min, h.Ts,
+        )  # fmt: skip
+        force = m_eff * allowed[0]
+    freeze(h, kappa, car)
+    references(h, kappa, vx_ref, car)
+    terminal_weight(h, vx_ref[len(h.plan)])
+    # the tires' peak moves to smaller slip as the road gets slippery
+    bounds(h, car, h.slip_cap * min(friction, 1.0), force)
+    condense(h)
 
 
 @njit(cache=True)
-def accept(z, free, forced, plan, prediction):
-    """Turn a QP solution z into the input plan and the states predicted after now, in place."""
+def accept(h, z):
+    """Turn a QP solution z into the input plan and the states predicted after now, in place.
+
+    Columns of the plan that the QP does not decide, and states that its model takes as measured,
+    are left as they are and as they were.
+    """
+    plan, prediction, free, forced, scale = h.plan, h.prediction, h.free, h.forced, h.scale
     N, nx = free.shape
+    nu = len(scale)
+    first = prediction.shape[1] - nx
     for k in range(N):
-        for m in range(NU):
-            plan[k, m] = z[k * NU + m] * SCALE[m]
+        for m in range(nu):
+            plan[k, m] = z[k * nu + m] * scale[m]
     for k in range(N):
+        for i in range(first):
+            prediction[k + 1, i] = h.schedule[0, i]
         for i in range(nx):
             value = free[k, i]
-            for a in range((k + 1) * NU):
+            for a in range((k + 1) * nu):
                 value += forced[k, i, a] * z[a]
-            prediction[k + 1, i] = value
+            prediction[k + 1, first + i] = value
 
 
 @njit(cache=True)
-def advance(x, x_next, kappas, tires, disturbance, u, constants, form, method, Ts, out):
+def advance(h, x, x_next, kappa, kappa_next, u, out):
     """One-period prediction from x, with the model frozen between x and x_next, in place."""
-    car = unpack(constants)
+    car, Ts, tires, disturbance = unpack(h.car), h.Ts, h.axle_forces[0], h.disturbance
     A_, B_, c_ = np.empty((NX, NX)), np.empty((NX, NU)), np.empty(NX)
     Ad, rate, held = np.empty((NX, NX)), np.zeros((NX, NU + 1)), np.empty((NX, NU + 1))
     where = np.empty(NX)
     for i in range(NX):
         where[i] = 0.5 * (x[i] + x_next[i])
-    lpv(where, 0.5 * (kappas[0] + kappas[1]), tires, car, form, A_, B_, c_)
+    lpv(where, 0.5 * (kappa + kappa_next), tires, car, h.form, A_, B_, c_)
     for i in range(NX):
         rate[i, 0] = B_[i, 0] * u[0] + B_[i, 1] * u[1] + c_[i]
         if i < 3:
             rate[i, 0] += disturbance[i]
-    hold(A_, rate, Ts, method, Ad, held)
+    hold(A_, rate, Ts, h.method, Ad, held)
     for i in range(NX):
         out[i] = held[i, 0]
         for j in range(NX):
@@ -191,60 +191,62 @@ def advance(x, x_next, kappas, tires, disturbance, u, constants, form, method, T
 
 
 @njit(cache=True)
-def compare(
-    x, x_last, kappa_last, kappa, tires, disturbance, applied, constants, form, method, Ts, gain,
-    predicted, inner, unmodelled, offsets,
-):  # fmt: skip
-    """Compare the measured state with what the model expected for it, in place.
+def estimate(h, x, kappa, compared):
+    """Learn from the measured state, and predict from it to where the plan begins, in place.
 
     Args:
-        x: Measured state; what cannot be measured is filled in, shape (11,).
-        x_last: State of the period before, shape (11,).
-        kappa_last: Curvature of the period before [1/m].
-        kappa: Curvature now [1/m].
-        tires: Affine axle forces that the period before began with, shape (4,).
-        disturbance: The observer's estimate, changed, shape (3,).
-        applied: Command in effect since, shape (2,).
-        constants: `Bicycle` as an array.
-        form: CORRECTED or PRINTED.
-        method: EXACT or EULER.
-        Ts: Control period [s].
-        gain: Gain of the observer, zeros for none, shape (3,).
-        predicted: Receives the expected state, shape (11,).
-        inner: Receives the expectation of what cannot be measured, shape (5,).
-        unmodelled: Receives the acceleration of (vy, r) that the model without observer left
-            unexplained, shape (2,).
-        offsets: Receives the offsets of the axle forces' tangents, shape (2,).
+        h: See the head of this file.
+        x: Measured state, shape (11,); if `compared`, what cannot be measured is filled in.
+        kappa: Curvature from now on [1/m].
+        compared: Whether there is a period before, to compare its prediction with x.
 
     Returns:
-        Expected acceleration of the drive [m/s2].
+        Acceleration of the drive [m/s2].
     """
-    advance(
-        x_last, x, (kappa_last, kappa), tires, disturbance, applied, constants, form, method, Ts,
-        predicted,
-    )  # fmt: skip
-    for i in range(2):
-        unmodelled[i] = disturbance[1 + i] + (x[1 + i] - predicted[1 + i]) / Ts
-        offsets[i] = tires[1 + 2 * i]
-    for i in range(A, NX):
-        inner[i - A] = x[i] = predicted[i]
-    update(disturbance, predicted, x, gain, LIMIT, Ts)
-    return predicted[A]
+    if compared:
+        compare(h, x, kappa[0])
+    h.x_last[:] = x
+    h.kappa_last[0] = kappa[0]
+    start, ahead = h.schedule[0], np.empty(NX)
+    start[:] = x
+    for i in range(len(h.queue) - 1):
+        advance(h, start, start, kappa[i], kappa[i + 1], h.queue[i + 1], ahead)
+        start[:] = ahead
+    h.knots[0] = start
+    return x[A]
 
 
 @njit(cache=True)
-def shift(plan, prediction, schedule, knots, queue, x0):
+def compare(h, x, kappa):
+    """Compare the measured state with what the model expected for it, in place.
+
+    Fills in what is not measured, tells the tires' error and the offsets that go with it
+    (`unmodelled`, `offsets`), and moves the disturbance.
+    """
+    predicted, disturbance = h.predicted, h.disturbance
+    advance(h, h.x_last, x, h.kappa_last[0], kappa, h.queue[0], predicted)
+    for i in range(2):
+        h.unmodelled[i] = disturbance[1 + i] + (x[1 + i] - predicted[1 + i]) / h.Ts
+        h.offsets[i] = h.axle_forces[0, 1 + 2 * i]
+    for i in range(A, NX):
+        h.inner[i - A] = x[i] = predicted[i]
+    update(disturbance, predicted, x, h.gain, LIMIT, h.Ts)
+
+
+@njit(cache=True)
+def shift(h):
     """Make this period's plan and prediction the next one's fallback and schedule, in place."""
+    plan, prediction, schedule, queue = h.plan, h.prediction, h.schedule, h.queue
     for i in range(len(queue) - 1):
         queue[i] = queue[i + 1]
     queue[-1] = plan[0]
-    prediction[0] = x0
+    prediction[0] = schedule[0]
     for k in range(len(plan)):
         schedule[k] = prediction[k + 1]
         if k + 1 < len(plan):
             plan[k] = plan[k + 1]
     schedule[-1] = prediction[-1]
-    thin(schedule, knots)
+    thin(schedule, h.knots)
 
 
 @njit(cache=True)

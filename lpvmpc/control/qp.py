@@ -11,6 +11,7 @@ from __future__ import annotations
 import sys
 import time
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -32,48 +33,31 @@ def n_rows(N: int, nu: int, n_rates: int, soft_every: int = 1) -> int:
 
 
 @njit(cache=True)
-def condense(
-    Ad, Bd, cd, x0, x_ref, q, r_du, u_prev, u_lo, u_hi, du_max, soft, soft_every, soft_bound,
-    slack_weights, scale, terminal, z_ref, H, g, C, lo, hi, free, forced,
-):  # fmt: skip
+def condense(h):
     """Write the QP  min 0.5 z'Hz + g'z  s.t.  lo <= Cz <= hi  of one control period, in place.
 
-    sum_{k=1..N} |x_k - x_ref_k|^2_q + sum_{k=0..N-1} |u_k - u_{k-1}|^2_r
+    sum_{k=1..N} |x_k - x_ref_k|^2_q + sum_{k=0..N-1} |u_k - u_{k-1}|^2_r_du
         + |(x_N, u_{N-1}) - z_ref|^2_terminal + slack_weights[0] slack + slack_weights[1] slack^2
 
+    for x_{k+1} = Ad_k x_k + Bd_k u_k + cd_k from the last nx states of schedule[0], with
+    u_{-1} = queue[-1].
+
     Rows in order: inputs (N nu), increments (N n_rates), upper soft bound (N / soft_every), lower
-    soft bound (the same),
-    slack >= 0 (1).
+    soft bound (the same), slack >= 0 (1).
 
     Args:
-        Ad: Transition matrices, shape (N, nx, nx).
-        Bd: Input matrices, shape (N, nx, nu).
-        cd: Constant terms, shape (N, nx).
-        x0: State now, shape (nx,).
-        x_ref: Reference at steps 1..N, shape (N, nx).
-        q: Diagonal state weights at steps 1..N, shape (N, nx).
-        r_du: Diagonal weights of the increments, shape (nu,).
-        u_prev: Input applied in the period before, shape (nu,).
-        u_lo: Lower input bounds, shape (N, nu).
-        u_hi: Upper input bounds, shape (N, nu).
-        du_max: Largest increment of the first inputs, shape (n_rates,); the others have none.
-        soft: Index of the softly bounded state.
-        soft_every: The soft bound holds at every this many steps, a divisor of N.
-        soft_bound: Its bound: |x[soft]| <= soft_bound + slack.
-        slack_weights: Linear and quadratic penalty of the slack, shape (2,).
-        scale: Unit of each input in z, shape (nu,).
-        terminal: Terminal weight, shape (nx + nu, nx + nu), symmetric.
-        z_ref: Its reference, shape (nx + nu,).
-        H: Receives the Hessian, shape (n, n) with n = N nu + 1.
-        g: Receives the gradient, shape (n,).
-        C: Receives the constraint matrix, shape (n_rows, n).
-        lo: Receives the lower bounds, shape (n_rows,).
-        hi: Receives the upper bounds, shape (n_rows,).
-        free: Receives the free response x_1..x_N, shape (N, nx).
-        forced: Receives the forced response d x_k / d z, shape (N, nx, N nu).
+        h: Handle of a `Horizon`. Read are Ad, Bd, cd, schedule, queue, x_ref, q, r_du, terminal,
+            z_ref, slack_weights, u_lo, u_hi, du_max, soft, soft_every, soft_bound and scale;
+            written are H, g, C, lo, hi, free and forced.
 
     Source: Maciejowski, Predictive Control with Constraints, chapter 3.
     """
+    Ad, Bd, cd, x_ref, q, r_du, scale = h.Ad, h.Bd, h.cd, h.x_ref, h.q, h.r_du, h.scale
+    terminal, z_ref, slack_weights, du_max = h.terminal, h.z_ref, h.slack_weights, h.du_max
+    u_lo, u_hi, soft, soft_every, soft_bound = h.u_lo, h.u_hi, h.soft, h.soft_every, h.soft_bound
+    H, g, C, lo, hi, free, forced = h.H, h.g, h.C, h.lo, h.hi, h.free, h.forced
+    u_prev = h.queue[-1]
+    x0 = h.schedule[0, h.schedule.shape[1] - Bd.shape[1] :]
     N, nx, nu = Bd.shape
     n = N * nu + 1
     forced[:] = 0.0
@@ -311,6 +295,7 @@ class QPSolver:
             raise OptionError("QP max_iter", max_iter, "at least 1")
         self.n, self.m, self.tolerance, self.max_iter = n, m, tolerance, max_iter
         self._prox: proxsuite.proxqp.dense.QP | None = None
+        self._first: tuple[Array, ...] = ()  # the QP that ProxQP scales all later ones by
 
     def reset(self) -> None:
         """Forget the solver's history, so that the next solve depends on its data alone."""
@@ -337,10 +322,7 @@ class QPSolver:
         checked = time.thread_time_ns()
         prox = self._prox
         if prox is None:
-            prox = self._prox = self._new_solver()
-            prox.init(H=H, g=g, C=C, l=lo, u=hi)
-            # views of ProxQP's own memory: asking for them again each time costs 5 us
-            self._z, self._y, self._info = prox.results.x, prox.results.z, prox.results.info
+            prox = self._begin(H, g, C, lo, hi)
         else:
             prox.update(H=H, g=g, C=C, l=lo, u=hi)
         prox.solve()
@@ -367,6 +349,27 @@ class QPSolver:
         done = time.thread_time_ns()
         check_us = (checked - start + done - solved) * 1e-3
         return QPResult(z, good, name, residual, (solved - checked) * 1e-3, check_us, iterations)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but ProxQP's object; the QP that it began with makes the same one again."""
+        kept = {name: getattr(self, name) for name in ("n", "m", "tolerance", "max_iter")}
+        return kept | {"_first": () if self._prox is None else self._first}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """A solver that answers as the one that was copied."""
+        vars(self).update(state)
+        self._prox = None
+        if self._first:
+            self._begin(*self._first)
+
+    def _begin(self, *qp: Array) -> proxsuite.proxqp.dense.QP:
+        """A new ProxQP object, scaled by its first QP (H, g, C, lo, hi)."""
+        prox = self._prox = self._new_solver()
+        H, g, C, lo, hi = self._first = tuple(array.copy() for array in qp)
+        prox.init(H=H, g=g, C=C, l=lo, u=hi)
+        # views of ProxQP's own memory: asking for them again each time costs 5 us
+        self._z, self._y, self._info = prox.results.x, prox.results.z, prox.results.info
+        return prox
 
     def _new_solver(self) -> proxsuite.proxqp.dense.QP:
         prox = proxsuite.proxqp.dense.QP(

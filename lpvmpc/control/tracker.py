@@ -1,12 +1,184 @@
-"""What every tracker on a QP does alike."""
+"""The tracker: what every controller on a QP does in one control period, whatever its model.
+
+Check the preview and the measurement; estimate where the plan begins; write the QP; solve it;
+accept the solution, or fall back; keep plan and prediction for the next period. A controller of
+this kind is a subclass with a `Horizon` and one hook, `write_qp`.
+"""
 
 from __future__ import annotations
 
+import math
+import time
+
 import numpy as np
 
-from lpvmpc.control.qp import QPResult
+from lpvmpc.car.params import VehicleParams
+from lpvmpc.control.horizon import Horizon
+from lpvmpc.control.period import accept, shift
+from lpvmpc.control.qp import QPResult, QPSolver
+from lpvmpc.errors import OptionError
+from lpvmpc.interface import Command, Diagnostics, Preview, State
+from lpvmpc.units import Array
 
 BRAKING = -3.0
 """Acceleration of the last fallback [m/s2]."""
+REFUSALS = 3
+"""So many refused solves in a row are answered by the plan before; then the car brakes."""
+DELAY_MAX = 30
+"""Longest delay that is compensated [periods]."""
 NOT_FINITE = QPResult(np.empty(0), False, "NOT_FINITE", np.nan, 0.0, 0.0)
 """Outcome of a period whose measurement is not a number."""
+
+
+def checked_delay(delay: int) -> int:
+    """A known delay between command and effect [periods].
+
+    Raises:
+        OptionError: It is none.
+    """
+    if not (isinstance(delay, int) and 0 <= delay <= DELAY_MAX):
+        raise OptionError("delay", delay, f"a whole number of periods from 0 to {DELAY_MAX}")
+    return delay
+
+
+class Tracker:
+    """A controller that plans by a QP; subclasses say which.
+
+    A subclass has a `name` and `weights`, and writes the QP of each period into `horizon`.
+    """
+
+    name: str
+    """Name of the controller."""
+    informed: bool | None
+    """Whether the period before was measured; None before the first measured one."""
+
+    def __init__(self, car: VehicleParams, horizon: Horizon, tolerance: float = 1e-6) -> None:
+        """Build the controller.
+
+        Args:
+            car: Vehicle parameters.
+            horizon: Arrays and constants of a period.
+            tolerance: KKT tolerance of the QP.
+        """
+        self.car, self.horizon = car, horizon
+        self.Np, self.Ts = len(horizon.plan), horizon.Ts
+        """Prediction horizon [periods], control period [s]."""
+        self.delay = len(horizon.queue) - 1
+        """Known delay between command and effect [periods]."""
+        self.preview_steps = self.Np + self.delay
+        """Periods of preview needed: the horizon, and the delay before it begins."""
+        rows, columns = horizon.C.shape
+        self.solver = QPSolver(columns, rows, tolerance)
+        self._warm_up()
+
+    # what a subclass says -----------------------------------------------------------------
+
+    def estimate(self, state: State, preview: Preview) -> None:
+        """Write the state from which the plan begins into `horizon.schedule[0]`.
+
+        Here the measured (vx, vy, r, ey, epsi), as if there were no delay.
+
+        Args:
+            state: The car's state now; it is finite.
+            preview: Reference along the horizon and the delay before it.
+        """
+        measured = state.vx, state.vy, state.r, preview.ey, preview.epsi
+        self.horizon.schedule[0] = measured
+
+    def write_qp(self, state: State, preview: Preview) -> None:
+        """Write the QP of this period into `horizon`: H, g, C, lo, hi, free and forced.
+
+        Args:
+            state: The car's state now; `horizon.schedule[0]` is where the plan begins.
+            preview: Reference along the horizon and the delay before it.
+        """
+        raise NotImplementedError
+
+    # one period ---------------------------------------------------------------------------
+
+    def reset(self, rng: np.random.Generator) -> None:
+        """Forget the run so far. The controller is deterministic: `rng` is not used."""
+        self.solver.reset()
+        self.horizon.forget()
+        self.diagnostics = Diagnostics()
+        self.informed, self._refused = None, 0
+
+    def command(self, state: State, preview: Preview) -> Command:
+        """Command of one control period.
+
+        Args:
+            state: The car's state now.
+            preview: Reference over at least `preview_steps` periods.
+
+        Returns:
+            Steering angle [rad] and acceleration [m/s2], within the hard bounds.
+
+        Raises:
+            OptionError: The preview is too short.
+        """
+        start = time.thread_time_ns()
+        if len(preview.kappa) <= self.preview_steps:
+            raise OptionError(
+                "preview length", len(preview.kappa), f"at least {self.preview_steps + 1} points"
+            )
+        h = self.horizon
+        if math.isfinite(
+            state.vx + state.vy + state.r + state.delta + state.ax + state.ay
+            + preview.ey + preview.epsi
+        ):  # fmt: skip
+            self.estimate(state, preview)
+            self.write_qp(state, preview)
+            self.informed = True
+            built = time.thread_time_ns()
+            result = self.solver.solve(h.H, h.g, h.C, h.lo, h.hi)
+        else:  # nothing is learned from it; the plan of the period before goes on
+            if self.informed is not None:
+                self.informed = False
+            built, result = time.thread_time_ns(), NOT_FINITE
+        if result.solved:
+            self.accept(result.z)
+            self._refused, fallback = 0, ""
+        else:
+            fallback = self._fall_back()
+        shift(h.handle)
+        delta, ax = h.queue[-1].tolist()
+        self.diagnostics = Diagnostics(
+            result.solved,
+            fallback,
+            result.status,
+            result.residual,
+            (built - start) * 1e-3,
+            result.solve_us,
+            result.check_us,
+            h.prediction[:, :5].copy(),
+            h.disturbance.copy(),
+        )
+        return Command(delta, ax)
+
+    def accept(self, z: Array) -> None:
+        """Make a solution of the QP the plan and the prediction.
+
+        Args:
+            z: Inputs in units of `horizon.scale`, period by period, and the slack; shape (n,).
+        """
+        accept(self.horizon.handle, z)
+
+    def _fall_back(self) -> str:
+        """A refused solve: keep to the previous plan, already shifted; after three, brake."""
+        self._refused += 1
+        h = self.horizon
+        h.prediction[:] = h.schedule
+        if self._refused <= REFUSALS:
+            return "shifted"
+        h.plan[:, 1] = BRAKING
+        return "braking"
+
+    def _warm_up(self) -> None:
+        """Load the compiled code, 50 ms, before the first period needs it; then start anew."""
+        self.reset(np.random.default_rng(0))
+        still = State(0.0, 0.0, 0.0, 10.0, 0.0, 0.0, 0.0, 0.0, 0.0, np.zeros(4))
+        flat = np.zeros(self.preview_steps + 1)
+        preview = Preview(0.0, 0.0, 0.0, flat, flat + 10.0, flat, flat, flat)
+        for _ in range(2):  # the second period also compares with the first
+            self.command(still, preview)
+        self.reset(np.random.default_rng(0))

@@ -283,7 +283,8 @@ def _controller(name: str) -> Controller:
 
     So the data change neither when the controllers are tuned nor when a network is trained.
     """
-    from lpvmpc.control.formulation import PAPER, PAPER_WEIGHTS, Formulation, Weights
+    from lpvmpc.control.cost import PAPER_WEIGHTS, Weights
+    from lpvmpc.control.formulation import PAPER, Formulation
     from lpvmpc.control.lpv_mpc import LPVMPC
     from lpvmpc.control.stiffness.models import ConstantStiffness
 

@@ -33,13 +33,14 @@ from lpvmpc.car.bicycle import (
     unpack,
 )
 from lpvmpc.car.params import VehicleParams
-from lpvmpc.control.formulation import EY_MAX, PAPER, PAPER_WEIGHTS, SCALE, SLACK_WEIGHTS
+from lpvmpc.control.cost import PAPER_WEIGHTS
+from lpvmpc.control.formulation import PAPER
 from lpvmpc.control.lpv_mpc import LPVMPC
 from lpvmpc.control.period import bounds
 from lpvmpc.control.qp import condense
 from lpvmpc.errors import LPVMPCError
 from lpvmpc.interface import Preview, State
-from lpvmpc.units import GRAVITY, Array
+from lpvmpc.units import GRAVITY
 
 SLIPS = {
     "dt": "x+ = x + A x + B u dt: the period multiplies B u only",
@@ -91,36 +92,29 @@ def matrices(x, kappa, tires, car, slips, A_out, B_out, c_out):
 
 
 @njit(cache=True)
-def _period(
-    schedule, kappa, vx_ref, tires, u_prev, constants, slips, Ts, du_max, delta_max, drive, q, r_du,
-    work, H, g, C, lo, hi,
-):  # fmt: skip
-    """Model, references, bounds and QP of one period."""
-    car = unpack(constants)
-    Ad, Bd, cd, x_ref, u_lo, u_hi, terminal, z_ref, free, forced = work
+def _write(h, kappa, vx_ref, slips):
+    """Model, references, bounds and QP of one period, in place."""
+    car = unpack(h.car)
     A_, B_, c_ = np.empty((NX, NX)), np.empty((NX, NU)), np.empty(NX)
-    for k in range(len(Ad)):
-        matrices(schedule[k], kappa[k], tires[k], car, slips, A_, B_, c_)
+    for k in range(len(h.Ad)):
+        matrices(h.schedule[k], kappa[k], h.axle_forces[k], car, slips, A_, B_, c_)
         for i in range(NX):
             for j in range(NX):
-                Ad[k, i, j] = A_[i, j] * (1.0 if slips[DT] else Ts)
-            Ad[k, i, i] += 1.0
+                h.Ad[k, i, j] = A_[i, j] * (1.0 if slips[DT] else h.Ts)
+            h.Ad[k, i, i] += 1.0
             for m in range(NU):
-                Bd[k, i, m] = B_[i, m] * Ts
-            cd[k, i] = c_[i] * Ts
+                h.Bd[k, i, m] = B_[i, m] * h.Ts
+            h.cd[k, i] = c_[i] * h.Ts
         for state, m in ((DELTA, 0), (A, 1)):  # steering and drive follow at once
-            Ad[k, state, state], Bd[k, state, m] = 0.0, 1.0
-        x_ref[k] = 0.0
-        x_ref[k, VX] = vx_ref[k + 1]
+            h.Ad[k, state, state], h.Bd[k, state, m] = 0.0, 1.0
+        h.x_ref[k] = 0.0
+        h.x_ref[k, VX] = vx_ref[k + 1]
     if slips[TERMINAL]:
-        x_ref[-1, VX] = 0.0
-    bounds(schedule, u_prev, du_max, delta_max, np.pi, car, drive, u_lo, u_hi)
+        h.x_ref[-1, VX] = 0.0
+    bounds(h, car, h.slip_cap, h.drive[1])
     if slips[BOUNDS]:
-        u_lo[:, 1], u_hi[:, 1] = -AX_MAX, AX_MAX
-    condense(
-        Ad, Bd, cd, schedule[0], x_ref, q, r_du, u_prev, u_lo, u_hi, du_max, EY, 1, EY_MAX,
-        SLACK_WEIGHTS, SCALE, terminal, z_ref, H, g, C, lo, hi, free, forced,
-    )  # fmt: skip
+        h.u_lo[:, 1], h.u_hi[:, 1] = -AX_MAX, AX_MAX
+    condense(h)
 
 
 class Printed(LPVMPC):
@@ -139,16 +133,12 @@ class Printed(LPVMPC):
             car, stiffness=ConstantStiffness(car), weights=PAPER_WEIGHTS, formulation=PAPER
         )
 
-    def _build(self, x0: Array, state: State, preview: Preview) -> None:
+    def write_qp(self, state: State, preview: Preview) -> None:
         """Write the QP."""
-        self._schedule[0] = self._knots[0] = x0
-        self.stiffness.horizon(state, self._knots, self._tires)
-        _period(
-            self._schedule, preview.kappa, preview.vx_ref, self._tires, self._queue[-1],
-            self._constants, self._slips, self.Ts, self._du_max, self._delta_max, self._drive,
-            self._q, self._r, self._work, self._H, self._g, self._C, self._lo, self._hi,
-        )  # fmt: skip
-        if not math.isfinite(float(self._H.sum()) + float(self._g.sum())):
+        h = self.horizon
+        self.stiffness.horizon(state, h.knots, h.axle_forces)
+        _write(h.handle, preview.kappa, preview.vx_ref, self._slips)
+        if not math.isfinite(float(h.H.sum()) + float(h.g.sum())):
             raise LPVMPCError("The printed model has diverged: its prediction is not finite.")
 
 
@@ -164,4 +154,5 @@ def __getattr__(name: str) -> type[Printed]:
     slips = rest.split("_") if rest and rest != "none" else []
     if first != "Printed" or not rest or any(slip not in SLIPS for slip in slips):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return type(name, (Printed,), {"slips": frozenset(slips)})
+    made = globals()[name] = type(name, (Printed,), {"slips": frozenset(slips)})
+    return made  # kept: a class that is pickled must be found again, the same

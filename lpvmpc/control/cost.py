@@ -1,0 +1,231 @@
+"""What the controllers on a QP weigh: units, weights, and the numbers that the QP takes from them.
+
+To change the cost: its terms are `qp.condense`'s, its weights are here.
+
+The terminal weight says what an error at the end of the horizon still costs afterwards. A third of
+a second is short at 25 m/s: without it the controller answers a large error with an oscillation
+that grows. It is the cost-to-go of the unconstrained problem on a straight road, from the Riccati
+equation of the LPV model at a few speeds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar
+
+import numpy as np
+from numba import njit
+
+from lpvmpc.car.bicycle import (
+    AF,
+    AR,
+    CORRECTED,
+    DELTA,
+    NU,
+    NX,
+    PHI,
+    VX,
+    A,
+    Bicycle,
+    P,
+    discretise,
+    lpv,
+)
+from lpvmpc.control.formulation import DELTA_MAX_PAPER, EY_MAX
+from lpvmpc.errors import OptionError
+from lpvmpc.units import Array
+
+UNITS = {
+    "vx": 1.0,
+    "vy": 1.0,
+    "r": 0.5,
+    "ey": EY_MAX,
+    "epsi": DELTA_MAX_PAPER,
+    "delta": DELTA_MAX_PAPER,
+    "ax": 5.0,
+}
+"""Size of each variable that counts as one in the cost [m/s, m/s, rad/s, m, rad, rad, m/s2]."""
+SLACK_WEIGHTS = np.array([0.0, 1e4])
+"""Linear and quadratic price of leaving the ey bound [1/m, 1/m2]. Without a linear one the bound
+yields by millimetres, and while it is not active the unconstrained solution is the solution: that
+is where ProxQP begins, and it needs one iteration instead of two."""
+SPEEDS = np.geomspace(2.0, 45.0, 16)
+"""Speeds of the table of terminal weights [m/s]; between them the weight is interpolated, beyond
+them held."""
+NZ = NX + NU
+"""Size of the terminal error: the states, and the input applied last."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Weights:
+    """Everything that is tuned. Weights are per second and normalised by `UNITS`.
+
+    The values here are set by hand; what the controller drives with where none are given is
+    `weights/lpv-mpc.toml`, which `eval/tune.py` wrote.
+    """
+
+    RANGES: ClassVar[dict[str, tuple[float, float]]] = {
+        "q_vx": (3.0, 300.0),
+        "q_vy": (0.01, 10.0),
+        "q_r": (0.01, 10.0),
+        "q_ey": (8.0, 800.0),
+        "q_epsi": (8.0, 800.0),
+        "r_delta": (0.005, 0.5),
+        "r_ax": (0.004, 0.4),
+        "terminal": (0.0, 1.0),
+        "observer_gain": (0.1, 0.6),
+        "slip_cap": (0.1, 0.18),
+    }
+    """Where tuning searches: a decade to either side of the values set by hand, what these leave
+    out near nothing, and for gain and cap the values that keep this car on the road."""
+
+    q_vx: float = 30.0
+    """Weight of the speed error."""
+    q_vy: float = 0.0
+    """Weight of the lateral speed error."""
+    q_r: float = 0.0
+    """Weight of the yaw rate error."""
+    q_ey: float = 80.0
+    """Weight of the lateral error."""
+    q_epsi: float = 80.0
+    """Weight of the heading error."""
+    r_delta: float = 0.05
+    """Weight of the steering rate."""
+    r_ax: float = 0.04
+    """Weight of the jerk."""
+    terminal: float = 1.0
+    """Factor on the cost-to-go at the end of the horizon, 0 to 1."""
+    observer_gain: float = 0.3
+    """Gain of the disturbance observer, 0 to 1."""
+    slip_cap: float = 0.14
+    """Largest front slip angle that a command may ask for [rad]."""
+
+    def __post_init__(self) -> None:
+        """Refuse what no cost can mean."""
+        for f in fields(self):
+            value = getattr(self, f.name)
+            ok = isinstance(value, int | float) and np.isfinite(value) and value >= 0.0
+            if not ok:
+                raise OptionError(f"weight {f.name}", value, "a number of at least 0")
+        if self.observer_gain > 1.0:
+            raise OptionError("weight observer_gain", self.observer_gain, "a number from 0 to 1")
+        if self.slip_cap < 0.01:
+            raise OptionError("weight slip_cap", self.slip_cap, "at least 0.01 rad")
+        for name in ("r_delta", "r_ax"):
+            if getattr(self, name) <= 0.0:
+                raise OptionError(f"weight {name}", getattr(self, name), "a number above 0")
+
+
+PAPER_WEIGHTS = Weights(q_epsi=800.0, r_delta=0.18, terminal=0.0)
+"""Weights for `PAPER`, which loses the MuJoCo car with the weights of the full controller."""
+
+
+def stage_weights(weights: Any, names: Sequence[str], N: int, nx: int, Ts: float) -> Array:
+    """Diagonal weights of the states at every step of the horizon.
+
+    Args:
+        weights: Has a number `q_NAME` per name.
+        names: Of `UNITS`, in the order of the model's first states.
+        N: Periods of the horizon.
+        nx: States of the model; those without a name weigh nothing.
+        Ts: Control period [s]; weights are per second.
+
+    Returns:
+        Shape (N, nx), in SI units.
+    """
+    q = np.zeros((N, nx))
+    for i, name in enumerate(names):
+        q[:, i] = getattr(weights, f"q_{name}") / UNITS[name] ** 2 * Ts
+    return q
+
+
+def increment_weights(weights: Any, names: Sequence[str], Ts: float) -> Array:
+    """Diagonal weights of the inputs' increments: of their rates, per second.
+
+    Args:
+        weights: Has a number `r_NAME` per name.
+        names: Of `UNITS`, in the order of the inputs.
+        Ts: Control period [s].
+
+    Returns:
+        Shape (nu,), in SI units.
+    """
+    return np.array([getattr(weights, f"r_{name}") / UNITS[name] ** 2 / Ts for name in names])
+
+
+def cost_to_go(car: Bicycle, tires: Array, q: Array, r_du: Array, Ts: float) -> Array:
+    """Cost of a tracking error z = (x, u_prev) over all later periods, at each of `SPEEDS`.
+
+    V(z) = z' P z = min over du of  sum_{k >= 0} |x_{k+1}|^2_q + |du_k|^2_r
+
+    Args:
+        car: Constants of the single-track model.
+        tires: Affine axle forces (Cf, F0f, Cr, F0r), shape (4,); their offsets do not matter.
+        q: Diagonal state weights, shape (11,).
+        r_du: Diagonal weights of the input increments, shape (2,).
+        Ts: Period [s].
+
+    Returns:
+        P, shape (16, 13, 13), symmetric and positive semi-definite.
+
+    Source: Rawlings, Mayne, Diehl, Model Predictive Control, section 2.5; the state is augmented
+    by the last input since increments are weighted.
+    """
+    from scipy.linalg import solve_discrete_are  # 0.1 s to import, needed once
+    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+
+    table = np.zeros((len(SPEEDS), NZ, NZ))
+    A_, B_, c_ = np.empty((NX, NX)), np.empty((NX, NU)), np.empty(NX)
+    used = [i for i in range(NX) if _used(car, i)]
+    # with several threads BLAS rounds otherwise, and every command of a run would show it
+    with threadpool_limits(1, user_api="blas"):
+        for n, vx in enumerate(SPEEDS):
+            x = np.zeros(NX)
+            x[VX] = vx
+            lpv(x, 0.0, tires, car, CORRECTED, A_, B_, c_)
+            Ad, Bd, _ = discretise(A_, B_, c_, Ts)
+            Ad, Bd = Ad[np.ix_(used, used)], Bd[used]
+            size = len(used)
+            step = np.block([[Ad, Bd], [np.zeros((NU, size)), np.eye(NU)]])
+            push = np.vstack([Bd, np.eye(NU)])
+            stage = np.diag(np.append(q[used], np.zeros(NU)))
+            cost = solve_discrete_are(step, push, stage, np.diag(r_du)) - stage
+            where = used + list(range(NX, NZ))
+            table[n][np.ix_(where, where)] = 0.5 * (cost + cost.T)
+    return table
+
+
+def _used(car: Bicycle, state: int) -> bool:
+    """Whether the model has this state; one without lag or stiffness just copies its input."""
+    if state == DELTA:
+        return car.tau_delta > 0.0
+    if state == A:
+        return car.tau_ax > 0.0
+    if state in (AF, AR):
+        return car.sigma_f > 0.0
+    if state in (PHI, P):
+        return car.K_phi > 0.0
+    return True
+
+
+@njit(cache=True)
+def terminal_weight(h, vx):
+    """Terminal weight at a speed, and the steady state that it pulls towards, in place.
+
+    Args:
+        h: Handle of a `Horizon`: `table` and `x_ref` are read, `terminal` and `z_ref` written.
+        vx: Reference speed at the end of the horizon [m/s].
+    """
+    table, weight, z_ref, x_ref = h.table, h.terminal, h.z_ref, h.x_ref[-1]
+    n = len(SPEEDS)
+    k = 0
+    while k < n - 2 and SPEEDS[k + 1] < vx:
+        k += 1
+    share = min(max((vx - SPEEDS[k]) / (SPEEDS[k + 1] - SPEEDS[k]), 0.0), 1.0)
+    for i in range(NZ):
+        for j in range(NZ):
+            weight[i, j] = (1.0 - share) * table[k, i, j] + share * table[k + 1, i, j]
+    for i in range(NX):
+        z_ref[i] = x_ref[i]
+    z_ref[NX], z_ref[NX + 1] = x_ref[DELTA], x_ref[A]
