@@ -1,6 +1,7 @@
 # make track  drive the paper's road: table, metrics, figures and video
 # make test   run the tests
 # make lint   ruff, mypy, and which package may import which
+# make docs   the reference of the public API in site/, warnings are errors
 # make clean  remove the environment and what the tools left behind
 #
 # Each target makes .venv and installs the versions of constraints.txt first. The stamps depend on
@@ -12,10 +13,10 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet --constraint constraints.txt
 
 .DELETE_ON_ERROR:
-.PHONY: track test lint clean egl
+.PHONY: track test lint docs clean egl
 
 track: $(VENV)/.run egl
-	$(BIN)/python eval/track.py --scenario paper --render $(ARGS)
+	$(BIN)/lpvmpc track --scenario paper --render $(ARGS)
 
 test: $(VENV)/.dev egl
 	$(BIN)/python -m pytest -n 2 $(ARGS)
@@ -24,6 +25,9 @@ lint: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+docs: $(VENV)/.docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -39,6 +43,10 @@ $(VENV)/.dev: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP) --editable ".[dev]"
 	@touch $@ $(VENV)/.run
 
+$(VENV)/.docs: pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP) --editable ".[docs]"
+	@touch $@
+
 # Pictures need an OpenGL that works without a display. Only a warning: all else works without it.
 egl: | $(BIN)/python
 	@if [ "$${MUJOCO_GL:-egl}" = egl ]; then $(BIN)/python -c \
@@ -46,5 +54,5 @@ egl: | $(BIN)/python
 	  echo "No EGL here, so no video: install it with: apt-get install libegl1 libgl1-mesa-dri" >&2; fi
 
 clean:
-	rm -rf $(VENV) build dist .pytest_cache .ruff_cache .mypy_cache
+	rm -rf $(VENV) build dist site .pytest_cache .ruff_cache .mypy_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

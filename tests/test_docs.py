@@ -1,0 +1,43 @@
+"""The pages of the reference name every public name, and nothing that is not there.
+
+`make docs` builds them, and refuses docstrings that do not fit their functions.
+"""
+
+import re
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+import lpvmpc
+
+PAGES = Path(__file__).parents[1] / "docs" / "reference"
+NAMED = sorted({name for page in PAGES.glob("*.md")
+                for name in re.findall(r"^::: (\S+)", page.read_text(), re.M)})  # fmt: skip
+
+
+def found(name):
+    """The module, class or function of a dotted name."""
+    try:
+        return import_module(name)
+    except ModuleNotFoundError:
+        module, _, attribute = name.rpartition(".")
+        return getattr(import_module(module), attribute)
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_what_a_page_names_exists_and_says_what_it_is(name):
+    assert found(name).__doc__
+
+
+def test_every_public_name_has_its_place():
+    for name in set(lpvmpc.__all__) - {"__version__"}:
+        home = f"lpvmpc.{lpvmpc._HOME[name]}"
+        places = {home, f"{home}.{name}"}
+        places.add(f"{getattr(getattr(lpvmpc, name), '__module__', home)}.{name}")
+        assert places & set(NAMED), name
+
+
+def test_every_page_is_in_the_menu(root):
+    menu = re.findall(r"^  - .*: (\w+\.md)$", (root / "mkdocs.yml").read_text(), re.M)
+    assert sorted(menu) == sorted(page.name for page in PAGES.glob("*.md"))
