@@ -14,9 +14,7 @@ import sys
 import textwrap
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import tyro
+from typing import TYPE_CHECKING, Any
 
 from lpvmpc.errors import LPVMPCError
 from lpvmpc.kit import cli
@@ -46,7 +44,7 @@ class Options:
     """Folder for benchmark.md, .csv, .json and .png (default: docs/results)."""
     cache: Path = Path("runs/benchmark")
     """Folder where results are kept, emptied unless --resume is given."""
-    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    json: Path | None = None
     """Write the values to this file as well."""
 
 

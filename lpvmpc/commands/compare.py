@@ -14,8 +14,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import tyro
-
 from lpvmpc.control.registry import CONTROLLERS
 from lpvmpc.errors import LPVMPCError, OptionError, RenderError
 from lpvmpc.kit import cli
@@ -27,8 +25,6 @@ if TYPE_CHECKING:
     from lpvmpc.interface import Controller
     from lpvmpc.sim.log import Log
 
-Number = Annotated[float | None, tyro.conf.arg(metavar="FLOAT")]
-File = Annotated[Path | None, tyro.conf.arg(metavar="PATH")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,33 +33,33 @@ class Options:
 
     controllers: Annotated[
         tuple[str, ...],
-        tyro.conf.arg(help=(
+        cli.Option(help=(
             f"Two to six of {', '.join(CONTROLLERS)}, or your own module:Class; lpv-mpc/constant "
             "is the lpv-mpc with another stiffness model."
         )),
     ] = ("lpv-mpc", "lmpc-pso-pid")
     scenario: Annotated[
-        str, tyro.conf.arg(help=f"{', '.join(SCENARIOS)}, or your own FILE.csv.")
+        str, cli.Option(help=f"{', '.join(SCENARIOS)}, or your own FILE.csv.")
     ] = "paper"
     wind_scale: float = 1.0
     """Factor on the scenario's wind speed."""
     friction: float = 1.0
     """Factor on the peak friction of the road."""
-    v_max: Number = None
+    v_max: float | None = None
     """Top speed of a planned speed profile [m/s]."""
-    ay_max: Number = None
+    ay_max: float | None = None
     """Lateral acceleration of a planned speed profile [m/s2]."""
-    grip: Number = None
+    grip: float | None = None
     """The same as a fraction of what the car can hold."""
     seed: int = 0
     """Seed of everything random."""
     delay: int = 0
     """Control periods after which a command reaches the car."""
-    out: File = None
+    out: Path | None = None
     """Folder for the results (default: runs/SCENARIO-CONTROLLER-vs-CONTROLLER)."""
     render: bool = False
     """Make a video of up to four, videos/SCENARIO-CONTROLLER-vs-CONTROLLER.mp4."""
-    json: File = None
+    json: Path | None = None
     """Write the metrics of all to this file as well."""
 
 

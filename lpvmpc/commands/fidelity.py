@@ -15,8 +15,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import tyro
-
 from lpvmpc.errors import UnknownNameError
 from lpvmpc.kit import cli
 from lpvmpc.kit.files import write_json, write_text
@@ -35,20 +33,21 @@ class Options:
 
     studies: Annotated[
         tuple[str, ...],
-        tyro.conf.Positional,
-        tyro.conf.arg(
-            metavar="[STUDY ...]", help=f"Studies to run (default: all): {', '.join(STUDIES)}."
+        cli.Option(
+            positional=True,
+            metavar="STUDY",
+            help=f"Studies to run (default: all): {', '.join(STUDIES)}.",
         ),
     ] = ()
     jobs: int = 0
     """Processes that run studies at the same time; 0 for one per core."""
-    out: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    out: Path | None = None
     """Folder of the report (default: docs/results for all studies, else runs/fidelity)."""
-    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    json: Path | None = None
     """Write figures, limits and verdicts to this file as well."""
     broken: Annotated[
         str | None,
-        tyro.conf.arg(metavar="NAME", help=(
+        cli.Option(metavar="NAME", help=(
             "Study a car that is broken on purpose, to see what the studies notice: "
             f"{', '.join(BROKEN)}."
         )),

@@ -15,9 +15,7 @@ import textwrap
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import tyro
+from typing import TYPE_CHECKING, Any
 
 from lpvmpc.control.registry import CONTROLLERS
 from lpvmpc.kit import cli
@@ -47,7 +45,7 @@ class Options:
     """Folder for paper.md, .csv, .json and paper/*.png (default: docs/results)."""
     cache: Path = Path("runs/reproduce")
     """Folder where results, tunings and trainings are kept from one call to the next."""
-    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    json: Path | None = None
     """Write the values to this file as well."""
 
 

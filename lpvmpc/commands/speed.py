@@ -14,9 +14,7 @@ import sys
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import tyro
+from typing import TYPE_CHECKING, Any
 
 from lpvmpc.errors import RenderError
 from lpvmpc.kit import cli
@@ -57,7 +55,7 @@ class Options:
     """A look instead of a measurement: one round on a short road."""
     out: Path = Path("docs/results")
     """Folder for speed.md, speed.csv and speed.json."""
-    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    json: Path | None = None
     """Write the values to this file as well."""
 
 

@@ -16,8 +16,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import tyro
-
 from lpvmpc.commands.track_table import print_table
 from lpvmpc.control.registry import CONTROLLERS, STIFFNESS_MODELS
 from lpvmpc.errors import LPVMPCError, RenderError
@@ -32,8 +30,6 @@ if TYPE_CHECKING:
     from lpvmpc.road.path import Path as Road
     from lpvmpc.sim.log import Log
 
-Number = Annotated[float | None, tyro.conf.arg(metavar="FLOAT")]
-File = Annotated[Path | None, tyro.conf.arg(metavar="PATH")]
 
 USER_TIMEOUT = 60.0
 """Longest time of one call of a user's controller, by default [s]."""
@@ -44,14 +40,14 @@ class Options:
     """Drive a scenario with a controller on the MuJoCo car and report how well it went."""
 
     scenario: Annotated[
-        str, tyro.conf.arg(help=f"{', '.join(SCENARIOS)}, or your own FILE.csv.")
+        str, cli.Option(help=f"{', '.join(SCENARIOS)}, or your own FILE.csv.")
     ] = "paper"
     controller: Annotated[
-        str, tyro.conf.arg(help=f"{', '.join(CONTROLLERS)}, or your own module:Class.")
+        str, cli.Option(help=f"{', '.join(CONTROLLERS)}, or your own module:Class.")
     ] = "lpv-mpc"
     stiffness: Annotated[
         str | None,
-        tyro.conf.arg(metavar="NAME", help=(
+        cli.Option(metavar="NAME", help=(
             f"What the LPV-MPC knows of its tires: {', '.join(STIFFNESS_MODELS)}; network-secant "
             "is the paper's, the oracles are told the plant's own (default: network, and constant "
             "for lpv-mpc-paper)."
@@ -63,37 +59,37 @@ class Options:
     """Factor on the peak friction of the road."""
     seed: int = 0
     """Seed of everything random."""
-    out: File = None
+    out: Path | None = None
     """Folder for the results (default: runs/SCENARIO-CONTROLLER)."""
     render: bool = False
     """Make a video: videos/SCENARIO-CONTROLLER.mp4."""
     view: bool = False
     """Watch the run live in MuJoCo's interactive viewer."""
-    v_max: Number = None
+    v_max: float | None = None
     """Top speed of a planned speed profile [m/s]."""
-    ay_max: Number = None
+    ay_max: float | None = None
     """Lateral acceleration of a planned speed profile [m/s2]."""
-    grip: Number = None
+    grip: float | None = None
     """The same as a fraction of what the car can hold."""
     closed: bool = False
     """Treat a CSV track as closed (default: decided by its ends)."""
     no_closed: bool = False
     """Treat a CSV track as open."""
-    smoothing: Number = None
+    smoothing: float | None = None
     """Wavelength below which the points of a CSV track are smoothed [m] (default: 25, and less
     where that would cut a corner)."""
-    start_offset: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="EY EPSI")] = None
+    start_offset: Annotated[tuple[float, float] | None, cli.Option(metavar="EY EPSI")] = None
     """Start beside the reference: distance to its left [m] and turn to the left [rad]."""
     laps: int = 1
     """Laps of a closed track."""
-    weights: File = None
+    weights: Path | None = None
     """Weights of the controller, a TOML file as eval/tune.py writes it (default: the package's)."""
     delay: int = 0
     """Control periods after which a command reaches the car."""
-    step_timeout: Number = None
+    step_timeout: float | None = None
     """Longest time of one controller call, compiling included, before the run is given up [s]
     (default: 60 for your own controller, no limit for the package's)."""
-    json: File = None
+    json: Path | None = None
     """Write the metrics to this file as well."""
 
 

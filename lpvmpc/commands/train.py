@@ -16,9 +16,7 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
-
-import tyro
+from typing import TYPE_CHECKING, Any, Literal
 
 from lpvmpc.errors import LPVMPCError, OptionError
 from lpvmpc.kit import cli
@@ -27,8 +25,6 @@ if TYPE_CHECKING:
     from lpvmpc.learn.dataset import Dataset
     from lpvmpc.learn.train import Trained
 
-File = Annotated[Path | None, tyro.conf.arg(metavar="PATH")]
-Count = Annotated[int | None, tyro.conf.arg(metavar="INT")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,17 +33,17 @@ class Options:
 
     data: Path = Path("data/stiffness.parquet")
     """Data from data_gen/collect.py."""
-    out: File = None
+    out: Path | None = None
     """Weights file (default: data/network.safetensors or data/network-secant.safetensors)."""
     preset: Literal["default", "paper"] = "default"
     """Ours, or the paper's network and training."""
-    epochs: Count = None
+    epochs: int | None = None
     """Passes through the training data (default: the preset's)."""
     seed: int = 0
     """Seed of the network that is kept."""
-    seeds: Count = None
+    seeds: int | None = None
     """Number of seeds for the table of R2 (default: 5, for the paper's preset 1)."""
-    also: File = None
+    also: Path | None = None
     """Further data, of another friction, on which R2 is told."""
     resume: bool = False
     """Go on with an interrupted training."""

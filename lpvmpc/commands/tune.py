@@ -16,8 +16,6 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import tyro
-
 from lpvmpc.control.registry import CONTROLLERS
 from lpvmpc.errors import OptionError
 from lpvmpc.kit import cli
@@ -27,8 +25,6 @@ if TYPE_CHECKING:
     from lpvmpc.tune.checkpoint import State
     from lpvmpc.tune.tuning import Stage, Tuned
 
-Count = Annotated[int | None, tyro.conf.arg(metavar="INT")]
-File = Annotated[Path | None, tyro.conf.arg(metavar="PATH")]
 
 SPHERE = ("sphere", "generations", "population", "seed", "out", "json")
 """Options that mean something with --sphere."""
@@ -38,18 +34,18 @@ SPHERE = ("sphere", "generations", "population", "seed", "out", "json")
 class Options:
     """Tune a controller's weights, with the same budget for every controller."""
 
-    controller: Annotated[str, tyro.conf.arg(help=f"{', '.join(CONTROLLERS)}.")] = "lpv-mpc"
+    controller: Annotated[str, cli.Option(help=f"{', '.join(CONTROLLERS)}.")] = "lpv-mpc"
     scenario: tuple[str, ...] = ()
     """What to tune on (default: two tracks that no result is reported on)."""
-    generations: Count = None
+    generations: int | None = None
     """Generations (default: 15; with --sphere 100)."""
-    population: Count = None
+    population: int | None = None
     """Individuals in the population (default: 20; with --sphere 10)."""
-    jobs: Count = None
+    jobs: int | None = None
     """Processes (default: one per core)."""
     backend: Literal["local", "ray"] = "local"
     """Processes of this machine, or a Ray cluster."""
-    address: Annotated[str | None, tyro.conf.arg(metavar="ADDR")] = None
+    address: Annotated[str | None, cli.Option(metavar="ADDR")] = None
     """Address of the Ray cluster (default: one is started here)."""
     resume: bool = False
     """Go on with an interrupted tuning, to the same result."""
@@ -57,9 +53,9 @@ class Options:
     """Minimise the sphere function from 30 seeds instead, as in the paper's Fig. 6."""
     seed: int = 0
     """Seed of the search; with --sphere the first of 30."""
-    out: File = None
+    out: Path | None = None
     """Folder for the results (default: runs/tune-CONTROLLER; with --sphere docs/results)."""
-    json: File = None
+    json: Path | None = None
     """Write the values to this file as well."""
 
 

@@ -2,31 +2,27 @@
 
 from __future__ import annotations
 
-import contextlib
 import io
 import math
 import os
-import re
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Sequence
 from ctypes.util import find_library
-from itertools import groupby
 from pathlib import Path
-from typing import TypeVar
 
 from lpvmpc.errors import LPVMPCError, OptionError, OutputError
+from lpvmpc.kit.options import Option, OptionsT, parse
 from lpvmpc.kit.signals import sigterm_is_ctrl_c
+
+__all__ = [
+    "Option", "check_choice", "check_number", "check_opengl", "cores", "parse", "run",
+    "writable_folder",
+]  # fmt: skip
 
 DONE, BAD_INPUT, NOT_COMPLETED, INTERRUPTED = 0, 2, 3, 130
 """Exit codes: done; bad input (one line on stderr); the run did not complete; Ctrl-C or
 SIGTERM."""
-
-CHOICE = r"invalid choice '(.*)' for argument '(.*)'\. Expected one of \((.*)\)"
-"""tyro's complaint about a word that is none of those allowed."""
-NUMBER = r"Error parsing (\S+): (?:invalid literal for|could not|no type matching).*'(.*)'"
-"""Its complaint about what is no number."""
-OptionsT = TypeVar("OptionsT")
 
 
 def run(
@@ -53,44 +49,6 @@ def run(
     except KeyboardInterrupt:
         print("Interrupted.", file=sys.stderr)
         return INTERRUPTED
-
-
-def parse(options: type[OptionsT], arguments: Sequence[str] | None = None) -> OptionsT:
-    """Options from the command line; tyro's framed complaint becomes one sentence.
-
-    Raises:
-        LPVMPCError: Unknown options or values of the wrong kind.
-        SystemExit: After --help, with code 0.
-    """
-    import tyro
-
-    complaint = io.StringIO()
-    try:
-        with contextlib.redirect_stderr(complaint):
-            return tyro.cli(options, args=arguments, config=(tyro.conf.FlagCreatePairsOff,))
-    except SystemExit as stop:
-        if not stop.code:
-            raise
-    # a title, the complaint, and hints, with rules between them: lines, or dashes without Unicode
-    lines = [line.strip("│╭╰╮╯ ") for line in complaint.getvalue().splitlines()[1:]]
-    parts = [" ".join(part) for rule, part in groupby(lines, _is_rule) if not rule]
-    sentence = next((part for part in parts if part.strip()), "The options cannot be read").strip()
-    sentence = sentence.partition(" Got errors")[0].rstrip(". ")
-    number = re.match(NUMBER, sentence)
-    if number:
-        whole = "for int()" in sentence or "|INT " in sentence
-        kind = "a whole number" if whole else "a number"
-        sentence = f"{number[1]} is {number[2]!r}, but must be {kind}"
-    choice = re.match(CHOICE, sentence)
-    if choice:  # tyro lists them in another order each time
-        names = sorted(name for name in re.findall(r"'(.*?)'", choice[3]) if name != "None")
-        sentence = f"{choice[2]} is {choice[1]!r}, but must be one of {', '.join(names)}"
-    raise LPVMPCError(f"{sentence}; --help lists the options.")
-
-
-def _is_rule(line: str) -> bool:
-    """Whether a line separates."""
-    return bool(line) and set(line) <= set("─-")
 
 
 def check_number(name: str, value: float | None, low: float, high: float, unit: str = "") -> None:
