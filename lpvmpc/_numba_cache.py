@@ -2,8 +2,8 @@
 
 numba notices when the file of a compiled function changes, but neither a change in a function of
 another file that was inlined into it, nor another MuJoCo whose structs are laid out differently
-(native.py compiles their offsets in). Either would silently run old code. So the cache folder
-carries a key of both: an edit of any compiled file, or another MuJoCo, starts an empty one.
+(plant/callbacks.py compiles their offsets in). Either would silently run old code. So the cache
+folder carries a key of both: an edit of any compiled file, or another MuJoCo, starts an empty one.
 """
 
 import hashlib

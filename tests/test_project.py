@@ -35,6 +35,8 @@ def test_the_wheel_carries_models_data_and_types(wheel, root):
     for model in (root / "models").iterdir():
         assert f"lpvmpc/models/{model.name}" in packed
     assert "lpvmpc/py.typed" in packed
+    for data in (root / "lpvmpc" / "control" / "weights").iterdir():
+        assert f"lpvmpc/control/weights/{data.name}" in packed
     for data in ("road/data/paper.json", "studies/data/tire_golden.json"):
         assert f"lpvmpc/{data}" in packed
 
@@ -47,6 +49,32 @@ def test_the_wheel_works_from_another_folder(wheel, tmp_path):
     )
     environment = {**os.environ, "PYTHONPATH": str(wheel)}
     subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment, check=True)
+
+
+def test_the_wheel_brings_the_command(wheel, tmp_path):
+    (file,) = wheel.glob("*.dist-info/entry_points.txt")
+    script = re.search(r"^lpvmpc = ([\w.]+):(\w+)$", file.read_text(), re.M)
+    environment = {**os.environ, "PYTHONPATH": str(wheel)}
+
+    def say(*words):
+        return subprocess.run([sys.executable, *words], cwd=tmp_path, env=environment, check=True,
+                              capture_output=True, text=True).stdout  # fmt: skip
+
+    assert "--scenario" in say("-m", "lpvmpc", "track", "--help")
+    code = f"import sys; from {script[1]} import {script[2]}; sys.exit({script[2]}())"
+    assert say("-c", code) == say("-m", "lpvmpc")
+
+
+@pytest.mark.slow
+def test_the_wheel_drives_from_an_empty_folder(wheel, tmp_path):
+    """Everything is compiled anew: the code lies elsewhere."""
+    environment = {**os.environ, "PYTHONPATH": str(wheel)}
+    said = subprocess.run(
+        [sys.executable, "-m", "lpvmpc", "track", "--scenario", "slalom"],
+        cwd=tmp_path, env=environment, check=True, capture_output=True, text=True,
+    )  # fmt: skip
+    assert "Completed." in said.stdout
+    assert (tmp_path / "runs" / "slalom-lpv-mpc" / "metrics.json").exists()
 
 
 def test_the_versions_of_package_and_project_agree(root):

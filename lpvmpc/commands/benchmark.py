@@ -110,7 +110,7 @@ def results(cache: Path) -> list[Path]:
 
 
 def driver(jobs: int, cache: Path, progress: Progress) -> Any:
-    """Makes a function that drives runs under a title, as `ablation` wants it."""
+    """Makes a function that drives runs under a title, as `bench.cases` wants it."""
     from lpvmpc.sim.batch import drive_all
 
     def under(title: str) -> Any:

@@ -18,7 +18,7 @@ from lpvmpc.tune import tuning, tuning_report
 Say = Callable[[str, int, int], None]
 """Told what is being done, and how much of how much is."""
 PRESETS = {"paper": "network-secant", "default": "network"}
-"""Presets of `training` and the kinds of network that they make."""
+"""Presets of `learn.train` and the kinds of network that they make."""
 SAMPLES = 10752
 """Rows of data, as many as the paper's."""
 FRICTIONS = (0.4, 1.0)

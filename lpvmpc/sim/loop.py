@@ -82,7 +82,7 @@ def simulate(
 
     Args:
         plant: The car; reset here, its friction set from the scenario.
-        controller: Anything with `reset(rng)` and `command(state, preview)`; see `controllers`.
+        controller: Anything with `reset(rng)` and `command(state, preview)`; see `interface`.
         scenario: Path, speed, wind and friction.
         seed: Seed of the generator given to the controller.
         laps: Number of laps, 1 to `MAX_LAPS`; more than one on closed tracks only.

@@ -63,7 +63,7 @@ def load_controller(
             directory or PYTHONPATH; of `car`, `delay` and `weights` the class is given what its
             constructor asks for by name.
         car: Parameters of the car it drives (default: the packaged one).
-        options: Arguments for the package's makers; see `controllers.make_controller`.
+        options: Arguments for the package's makers; see `control.registry.make_controller`.
 
     Raises:
         UnknownNameError: No such name.

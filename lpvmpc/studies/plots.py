@@ -1,4 +1,4 @@
-"""Pictures of the studies in the house style of `lpvmpc.picture.figures`."""
+"""Pictures of the studies in the house style of `lpvmpc.picture.style`."""
 
 from __future__ import annotations
 

@@ -196,8 +196,8 @@ class StudyResult:
 class CarUnderTest:
     """Where a study gets its plants, and what it may expect of them.
 
-    The plants may be broken on purpose (`studies.broken`); the expectations are always those of
-    the documented car. So a study must not take an expectation from `plant.params`.
+    The plants may be broken on purpose (`reference.broken_cars`); the expectations are always those
+    of the documented car. So a study must not take an expectation from `plant.params`.
     """
 
     model: mujoco.MjModel

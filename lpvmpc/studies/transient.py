@@ -39,7 +39,7 @@ not part of the car's response.
   the response is the ratio of the Fourier transforms of the whole record.
 - *Transfer function*: linear single track with the tires' slopes, trails and relaxation lengths at
   static load and a body that rolls about the road on springs and dampers
-  (`studies/lateral_model.py`); no parameter is fitted.
+  (`studies/reference/lateral_model.py`); no parameter is fitted.
 - Valid in the linear range, some 0.1 g for 1 dB and 5 degrees; above 2 Hz the model's rigid wheels
   (no hop, no lateral compliance of the suspension) are too simple as well.
 """
