@@ -103,6 +103,9 @@ class Deviations:
     """Lever of the side force ahead of the nominal centre of mass [m]; None: the nominal one. The
     body carries it: a load that moves the centre of mass back makes it longer."""
 
+    air_density: float = 1.0
+    """Factor on the density of the air [-]."""
+
     def __post_init__(self) -> None:
         """Check every value's domain."""
         for field in fields(self):
@@ -165,6 +168,7 @@ def deviated(model: mujoco.MjModel, deviations: Deviations) -> mujoco.MjModel:
     mujoco.mj_setConst(out, mujoco.MjData(out))
     moved = _centre_of_mass(out)[0] - _centre_of_mass(model)[0]
     air = out.numeric("aero").data
+    air[0] *= deviations.air_density
     air[2] *= deviations.side_area
     lever = air[3] if deviations.side_lever is None else deviations.side_lever
     air[3] = lever - moved

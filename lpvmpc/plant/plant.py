@@ -151,6 +151,11 @@ class Plant:
         self._latency = round(seconds / dt)
         self._connect()
 
+    @property
+    def latency_step(self) -> float:
+        """Unit of a latency, the physics step [s]."""
+        return float(self.model.opt.timestep)
+
     def _connect(self) -> None:
         """Put between command and car what the car needs there; nothing where it is nominal."""
         if self._deviations == NOMINAL and not self._latency:

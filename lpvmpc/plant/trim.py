@@ -117,7 +117,7 @@ def gravity(grade: float, bank: float) -> tuple[float, float, float]:
         bank: fall per length to the left [-].
     """
     g = GRAVITY / math.sqrt(1.0 + grade * grade + bank * bank)
-    return -g * grade, g * bank, -g
+    return 0.0 - g * grade, g * bank, -g  # 0.0 -: on a level road +0.0, as in the model file
 
 
 def place(
