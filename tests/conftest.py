@@ -70,7 +70,7 @@ class PointPlant:
     params = SimpleNamespace(lf=1.2, lr=1.6, width=1.8)
     nominal_model = mujoco.MjModel.from_xml_string("<mujoco/>")
     held = Command(0.0, 0.0)
-    latency, deviations = 0.0, NOMINAL
+    latency, latency_step, deviations = 0.0, 0.001, NOMINAL
     roll = 0.0
     rolled_over = False
 
@@ -78,6 +78,9 @@ class PointPlant:
         self.friction = np.ones(4)
         self.commands = []
         self.x = self.y = self.psi = self.vx = 0.0
+
+    def tilt(self, grade=0.0, bank=0.0, psi=0.0):
+        pass
 
     def reset(self, x, y, psi, vx, *, kappa=0.0, wind=(0.0, 0.0), align="heading"):
         self.x, self.y, self.psi, self.vx = x, y, psi, vx

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from lpvmpc.sim.batch import Run
-from lpvmpc.sim.loop import EY_LOST
+from lpvmpc.sim.ending import EY_LOST
 
 Drive = Callable[[Sequence[Run]], list[dict[str, Any]]]
 """Drives runs and gives their metrics in order, as `batch.drive_all` does."""

@@ -28,6 +28,7 @@ from lpvmpc.road.scenario import RoadFriction, Scenario
 from lpvmpc.sim.loop import simulate
 from lpvmpc.sim.metrics import KEYS, metrics
 from lpvmpc.sim.names import load_controller, load_scenario
+from lpvmpc.sim.world import load_world
 
 if TYPE_CHECKING:
     from lpvmpc.plant.plant import Plant
@@ -67,11 +68,16 @@ class Run:
     """Number of laps of a closed track."""
     start_offset: tuple[float, float] = (0.0, 0.0)
     """Where the car starts beside the reference: ey [m] and epsi [rad]."""
+    world: str | Mapping[str, Any] = "ideal"
+    """What reality does that nobody is told: a name of `WORLDS`, a TOML file, or its contents."""
+    estimator: str | None = None
+    """Name of an estimator, or module:Class; None: as `simulate` says."""
     delay: int = 0
     """Periods after which a command reaches the car; what the controller is told of it is among
     its options."""
-    latency: float = 0.0
-    """Time that passes besides before a command reaches the car [s]; nobody is told."""
+    latency: float | None = None
+    """Time that passes besides before a command reaches the car [s], and nobody is told; None: the
+    world's."""
     deviations: Mapping[str, float] = field(default_factory=dict)
     """How the car differs from the one that the controller knows; fields of `Deviations`."""
     seed: int = 0
@@ -80,7 +86,7 @@ class Run:
     def __post_init__(self) -> None:
         """Refuse what cannot be hashed, and roads that cannot be."""
         try:
-            json.dumps([dict(self.scenario_options), dict(self.controller_options)],
+            json.dumps([dict(self.scenario_options), dict(self.controller_options), self.world],
                        allow_nan=False)  # fmt: skip
         except (TypeError, ValueError) as error:
             raise OptionError("options of a run", str(error), "plain names and numbers") from None
@@ -88,6 +94,7 @@ class Run:
         if not values or not all(0.05 <= value <= 4.0 for value in values):
             raise OptionError("road of a run", self.road, "friction factors from 0.05 to 4")
         deviations.named(self.deviations)
+        load_world(self.world)
 
     def __hash__(self) -> int:
         return hash(self._text())
@@ -110,25 +117,28 @@ class Run:
         return digest.hexdigest()[:32]
 
     def _own_files(self) -> Iterator[Path]:
-        """A user's track, network and module of a controller, where they are found."""
-        track = Path(self.scenario)
-        if self.scenario.lower().endswith(".csv") and track.is_file():
-            yield track
-        trained = Path(self.controller_options.get("stiffness_file", ""))
-        if trained.is_file():
-            yield trained
-        if ":" in self.controller:
-            name = self.controller.partition(":")[0]
-            here = Path(name.replace(".", "/") + ".py")  # as load_controller does
-            if here.is_file():
-                yield here
-                return
-            try:
-                found = importlib.util.find_spec(name)
-            except (ImportError, ValueError):
-                found = None
-            if found is not None and found.has_location and found.origin is not None:
-                yield Path(found.origin)
+        """A user's track, world, network and modules, where they are found."""
+        files = [self.scenario] if self.scenario.lower().endswith(".csv") else []
+        files += [self.world] if isinstance(self.world, str) else []
+        files.append(str(self.controller_options.get("stiffness_file", "")))
+        yield from (file for file in map(Path, files) if file.is_file())
+        for user in (self.controller, self.estimator or ""):
+            if ":" in user and (source := _source(user.partition(":")[0])) is not None:
+                yield source
+
+
+def _source(module: str) -> Path | None:
+    """File of a user's module, where it is found."""
+    here = Path(module.replace(".", "/") + ".py")  # as load_controller does
+    if here.is_file():
+        return here
+    try:
+        found = importlib.util.find_spec(module)
+    except (ImportError, ValueError):
+        return None
+    if found is None or not found.has_location or found.origin is None:
+        return None
+    return Path(found.origin)
 
 
 @cache
@@ -161,8 +171,10 @@ def drive(run: Run) -> Log:
         laps=run.laps,
         start_offset=run.start_offset,
         delay=run.delay,
+        world=run.world,
+        estimator=run.estimator,
         latency=run.latency,
-        deviations=deviations.named(run.deviations),
+        deviations=deviations.named(run.deviations) if run.deviations else None,
         name=run.controller,
         options={"road": run.road},
     )

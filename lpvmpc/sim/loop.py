@@ -2,15 +2,18 @@
 
 At every control instant the true state of the car is projected on the path and previewed, the
 controller commands, and all of it is recorded; then the plant moves on by one period under the wind
-and the friction of the place where it is. The controller is told neither.
+and the friction of the place where it is. The controller is told neither. In a world with sensors
+(`world`) it is given their estimate and the road from there; what is scored stays the truth.
 """
 
 from __future__ import annotations
 
 import math
+import os
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -29,31 +32,24 @@ from lpvmpc.interface import (
     told_by,
 )
 from lpvmpc.kit.provenance import model_sha256, versions
-from lpvmpc.plant.deviations import Deviations
+from lpvmpc.plant.deviations import NOMINAL, Deviations
 from lpvmpc.plant.plant import Plant
+from lpvmpc.road.surface import Surface
+from lpvmpc.sensing.sensors import Sensors
+from lpvmpc.sim.ending import STUCK_SPEED, TIME_FACTOR, check_start, why_lost
+from lpvmpc.sim.ground import Ground
 from lpvmpc.sim.guard import TimeLimit, checked_command
 from lpvmpc.sim.log import Log, Recorder
+from lpvmpc.sim.names import load_estimator
+from lpvmpc.sim.perception import Perception
+from lpvmpc.sim.world import Draw, World, children, load_world
 
 if TYPE_CHECKING:
     from lpvmpc.interface import Preview
     from lpvmpc.road.scenario import Scenario
 
-EY_LOST = 5.0
-"""A car further than this from the path has lost it [m], unless the road itself is wider."""
-VERGE = 2.0
-"""A car further than this beyond the edge of the road has lost it [m]."""
-EPSI_LOST = math.pi / 2.0
-"""A car turned further than this from the path has lost it [rad]."""
-STUCK_SPEED = 0.5
-"""A car slower than this, against a faster reference, stands [m/s]."""
-STUCK_TIME = 3.0
-"""Time for which it must stand to count as stuck [s]."""
-TIME_FACTOR = 2.0
-"""A run of more than this many times the reference's duration is given up."""
 MAX_DELAY = 30
 """Longest delay of the commands [control periods], one second."""
-MAX_LAPS = 100
-"""Most laps of one run: all of them are kept in memory."""
 
 Progress = Callable[[float], None]
 
@@ -66,8 +62,10 @@ def simulate(
     seed: int = 0,
     laps: int = 1,
     start_offset: tuple[float, float] = (0.0, 0.0),
+    world: str | os.PathLike[str] | Mapping[str, Any] | World = "ideal",
+    estimator: str | None = None,
     delay: int = 0,
-    latency: float = 0.0,
+    latency: float | None = None,
     deviations: Deviations | None = None,
     step_timeout: float | None = None,
     progress: Progress | None = None,
@@ -84,16 +82,21 @@ def simulate(
         plant: The car; reset here, its friction set from the scenario.
         controller: Anything with `reset(rng)` and `command(state, preview)`; see `interface`.
         scenario: Path, speed, wind and friction.
-        seed: Seed of the generator given to the controller.
+        seed: Seed of everything random: the generator given to the controller, and apart from it
+            the world and its sensors.
         laps: Number of laps, 1 to `MAX_LAPS`; more than one on closed tracks only.
         start_offset: Where the car starts beside the reference: ey [m], left positive, and its
             course against the path's, epsi [rad].
+        world: What reality does that nobody is told: a name of `WORLDS`, a TOML file, a `World`;
+            see `world.load_world`.
+        estimator: What makes a state of what is measured: a name of `ESTIMATORS` or `module:Class`
+            (default: "ekf", and "none" where the sensors are exact).
         delay: Number of control periods after which a command reaches the car, 0 to `MAX_DELAY`;
             until then it holds the trimmed command.
         latency: Time that passes besides, in physics steps, before a command reaches the car [s],
-            0 to 0.2. Neither is told to the controller here.
+            0 to 0.2 (default: the world's). Neither is told to the controller here.
         deviations: How the car differs from the one that the controller knows (default: the
-            plant's own).
+            world's, and in a world that leaves the car alone the plant's own).
         step_timeout: Longest wall-clock time of one call of the controller [s]; None: no limit.
         progress: Called at every control instant with the driven fraction of the path.
         name: Name of the controller in results (default: its attribute `name`, else its class).
@@ -104,6 +107,8 @@ def simulate(
 
     Raises:
         OptionError: An option outside its domain, or a controller of another control period.
+        UnknownNameError, DataError: No such world or estimator.
+        EstimatorError: The estimator raised, or has no state.
         ControllerError: The controller raised, hung, or returned something that is no command.
     """
     if type(seed) is not int or seed < 0:
@@ -119,50 +124,65 @@ def simulate(
         raise OptionError("controller Ts", about.Ts, f"the plant's, {Ts} s")
     if name:
         about = replace(about, name=name)
-    before = plant.latency, plant.deviations
-    plant.latency = latency
-    if deviations is not None:
-        plant.deviations = deviations
-    loop = _Loop(plant, controller, scenario, about, delay, step_timeout, laps, start_offset)
-    wall = time.perf_counter()
-    try:
-        with loop.limit.installed():
-            reason = loop.run(seed, progress)
-    except KeyboardInterrupt:
-        reason = "interrupted"
-    finally:
-        plant.friction = loop.grip
-        meant = {"latency_s": plant.latency, "deviations": plant.deviations.record()}
-        plant.latency, plant.deviations = before
-    wall = time.perf_counter() - wall
+    worlds, senses, guesses = children(seed)
+    draw = load_world(world).sample(worlds)
+    if estimator is None:
+        estimator = "none" if draw.sensing.exact else "ekf"
+    if deviations is None and draw.deviations != NOMINAL:
+        deviations = draw.deviations
+    if latency is None:
+        step = plant.latency_step
+        latency = round(draw.latency / step) * step
+    with _changed(plant, latency, deviations, draw.surface.level):
+        meant = replace(draw, latency=plant.latency, deviations=plant.deviations)
+        scenario = replace(scenario, wind=draw.wind(scenario.wind))
+        loop = _Loop(
+            plant, controller, scenario, about, delay, step_timeout, laps, start_offset,
+            draw.surface,
+        )  # fmt: skip
+        if not draw.sensing.exact or estimator != "none":
+            sensors = Sensors(draw.sensing, Ts, senses)
+            guess = load_estimator(estimator, car=plant.params, sensing=draw.sensing, Ts=Ts)
+            servo = plant.deviations if draw.steering_sensor == "servo" else None
+            loop.perception = Perception(
+                scenario, sensors, guess, estimator, servo, about.preview_steps, loop.rows
+            )
+        wall = time.perf_counter()
+        try:
+            with loop.limit.installed():
+                reason = loop.run(seed, progress, guesses)
+        except KeyboardInterrupt:
+            reason = "interrupted"
+        wall = time.perf_counter() - wall
     meta = loop.meta(reason, wall)
+    told = {"delay": delay, **loop.told(meant, estimator)}
     if laps != 1:
-        meant["laps"] = laps
+        told["laps"] = laps
     if tuple(start_offset) != (0.0, 0.0):
-        meant["start_offset"] = [float(value) for value in start_offset]
-    told = {"delay": delay, **{name: value for name, value in meant.items() if value}}
+        told["start_offset"] = [float(value) for value in start_offset]
     meta.update(seed=seed, options={**told, **(options or {})})
-    return loop.recorder.log(meta, scenario, about.weights)
+    meta.update(world={"name": draw.name, "drawn": loop.drawn(meant)}, estimator=estimator)
+    log = loop.recorder.log(meta, scenario, about.weights)
+    if loop.perception is not None:
+        log.columns.update(loop.perception.columns(len(log)))
+    return log
 
 
-def check_start(scenario: Scenario, laps: int, start_offset: tuple[float, float]) -> None:
-    """Refuse laps that the road has not, and starts from which the car would be lost at once.
-
-    Raises:
-        OptionError: What is wrong with which of them.
-    """
-    if type(laps) is not int or not 1 <= laps <= MAX_LAPS:
-        raise OptionError("laps", laps, f"a whole number from 1 to {MAX_LAPS}")
-    if laps > 1 and not scenario.path.closed:
-        raise OptionError("laps", laps, f"1: the road of {scenario.name} is not closed")
+@contextmanager
+def _changed(
+    plant: Plant, latency: float, deviations: Deviations | None, level: bool
+) -> Iterator[None]:
+    """A plant that is as before when it is over: car, latency, friction, level road."""
+    before = plant.latency, plant.deviations, plant.friction
     try:
-        ey, epsi = (float(value) for value in start_offset)
-    except (TypeError, ValueError):
-        ey = epsi = math.nan
-    if not (abs(ey) <= EY_LOST and abs(epsi) < EPSI_LOST):
-        raise OptionError("start_offset", start_offset,
-                          f"two numbers, ey from {-EY_LOST:g} to {EY_LOST:g} m and epsi between "
-                          "-pi/2 and pi/2 rad")  # fmt: skip
+        plant.latency = latency
+        if deviations is not None:
+            plant.deviations = deviations
+        yield
+    finally:
+        plant.latency, plant.deviations, plant.friction = before
+        if not level:
+            plant.tilt()
 
 
 class _Loop:
@@ -178,6 +198,7 @@ class _Loop:
         step_timeout: float | None,
         laps: int,
         start_offset: tuple[float, float],
+        surface: Surface,
     ):
         self.plant, self.controller, self.scenario = plant, controller, scenario
         self.about = about
@@ -187,22 +208,24 @@ class _Loop:
         self.start_offset = start_offset
         self.reference_duration = laps * scenario.reference_duration
         self.time_limit = TIME_FACTOR * self.reference_duration
-        rows = math.ceil(self.time_limit / plant.Ts) + 2
-        self.recorder = Recorder(rows, about.Np, len(plant.qpos))
-        self.grip = np.array(plant.friction)  # the plant's own, which the road's multiplies
-        self.road_friction = scenario.friction
-        self.friction = np.ones(4)  # of the road under the wheels
+        self.rows = math.ceil(self.time_limit / plant.Ts) + 2
+        self.recorder = Recorder(self.rows, about.Np, len(plant.qpos))
+        self.ground = Ground(plant, scenario, surface)
+        self.perception: Perception | None = None
         self.has_qp = False
         self.s_end = self.duration = 0.0
         self.lap_ends: list[float] = []  # when the start line was crossed [s]
 
-    def run(self, seed: int, progress: Progress | None) -> str:
+    def run(self, seed: int, progress: Progress | None, guesses: np.random.Generator) -> str:
         """Drive; returns why the run ended early, "" at the end of the path."""
         plant, scenario, controller = self.plant, self.scenario, self.controller
         path, Ts, length = scenario.path, plant.Ts, self.length
         state = self._start()
         self.limit.call("reset", 0.0, controller.reset, np.random.default_rng(seed))
         held = plant.held
+        perception = self.perception
+        if perception is not None:
+            perception.start(state, guesses)
         queue = deque([held] * self.delay)
         oracle = oracle_of(controller)
         s, stuck, k = 0.0, 0, 0
@@ -223,23 +246,26 @@ class _Loop:
             self.s_end, self.duration = s, t
             standing = state.vx < STUCK_SPEED < preview.vx_ref[0]
             stuck = stuck + 1 if standing else 0
-            reason = self._lost(preview, t, stuck * Ts)
+            reason = why_lost(plant, path, preview, t, stuck * Ts, self.time_limit)
             if reason:  # this instant counts, with the command that led to it
-                self._record(t, state, preview, held, None)
+                self._record(t, state, preview, preview, held, None)
                 return reason
+            seen, ahead = state, preview
+            if perception is not None:
+                seen, ahead = perception.look(state, preview.psi[0], t, held)
             if oracle is not None:
                 oracle.observe(plant.axles)
             cpu = time.thread_time_ns()
-            answer = self.limit.call("command", t, controller.command, state, preview)
+            answer = self.limit.call("command", t, controller.command, seen, ahead)
             cpu = time.thread_time_ns() - cpu
             held = command = checked_command(answer, self.about.name, t)
-            self._record(t, state, preview, command, cpu * 1e-3)
+            self._record(t, state, preview, ahead, command, cpu * 1e-3)
             if progress is not None:
                 progress(s / length)
             if self.delay:
                 queue.append(command)
                 command = queue.popleft()
-            self._lay_road(s)
+            self.ground.lay(s, preview.psi[0])
             try:
                 state = plant.step(command, wind=scenario.wind.velocity(t, s, preview.psi[0]))
             except LPVMPCError as error:  # a diverged simulation ends the run, and is its result
@@ -265,11 +291,27 @@ class _Loop:
             "lap_times_s": np.diff([0.0, *self.lap_ends]).tolist(),
             "has_qp": self.has_qp,
             "footprint_m": (car.lf, car.lr, car.width),
+            "estimator_events": 0 if self.perception is None else self.perception.events,
+            "estimator_unknowns": {} if self.perception is None else self.perception.unknowns,
             "wall_s": wall_s,
             "realtime_factor": self.duration / wall_s,
             "versions": versions(),
             "model_sha256": model_sha256(self.plant.nominal_model),
         }
+
+    def drawn(self, meant: Draw) -> dict[str, Any]:
+        """The numbers of this run's world; empty in the ideal one."""
+        found = meant.record()
+        if self.perception is not None and self.perception.sensors.drawn:
+            found["sensors"] = dict(self.perception.sensors.drawn)
+        return found
+
+    def told(self, meant: Draw, estimator: str) -> dict[str, Any]:
+        """What the trace is to say of the world, where it is not the ideal one."""
+        found = self.drawn(meant)
+        if not found and self.perception is None:
+            return {}
+        return {"world": meant.name, "drawn": found, "estimator": estimator}
 
     def _start(self) -> State:
         """The car on the start line, trimmed at the reference's speed, curvature and wind.
@@ -279,7 +321,7 @@ class _Loop:
         """
         scenario = self.scenario
         x, y, psi, kappa = (float(value) for value in scenario.path.at(0.0))
-        self._lay_road(0.0)
+        self.ground.lay(0.0, psi)
         wind = scenario.wind.velocity(0.0, 0.0, psi)
         vx = scenario.speed.start
         ey, epsi = self.start_offset
@@ -287,42 +329,16 @@ class _Loop:
             x, y, psi = x - ey * math.sin(psi), y + ey * math.cos(psi), psi + epsi
         return self.plant.reset(x, y, psi, vx, kappa=kappa, wind=wind, align="course")
 
-    def _lay_road(self, s: float) -> None:
-        """Put the road's friction under the wheels, where the car is at arc length s [m]."""
-        if self.road_friction is None:
-            return
-        car = self.plant.params
-        front, rear = self.road_friction(s + car.lf), self.road_friction(s - car.lr)
-        if front != self.friction[0] or rear != self.friction[2]:
-            self.friction[:2], self.friction[2:] = front, rear
-            self.plant.friction = self.grip * self.friction
-
-    def _lost(self, preview: Preview, t: float, stood: float) -> str:
-        """Why the run cannot go on, or ""."""
-        ey, path = preview.ey, self.scenario.path
-        if abs(ey) > EY_LOST:
-            room = path.width_at(preview.s, ey) + VERGE if path.has_widths else 0.0
-            if abs(ey) > room:
-                return f"off the path: |ey| > {max(EY_LOST, room):.3g} m"
-        if abs(preview.epsi) > EPSI_LOST:
-            return "spun: |epsi| > pi/2"
-        if self.plant.rolled_over:
-            return "rolled over"
-        if stood >= STUCK_TIME:
-            return f"stuck: vx < {STUCK_SPEED:g} m/s for {STUCK_TIME:g} s"
-        if t > self.time_limit:
-            return f"too slow: {TIME_FACTOR:g} times the reference's time"
-        return ""
-
     def _record(
         self,
         t: float,
         state: State,
         preview: Preview,
+        ahead: Preview,
         command: Command,
         step_us: float | None,
     ) -> None:
-        """Fill one row; `step_us` is None where the controller was not called."""
+        """Fill one row; the controller saw `ahead`, and was not called where `step_us` is None."""
         log, plant = self.recorder, self.plant
         k = log.n
         log.wheels[k] = plant.wheels
@@ -338,7 +354,7 @@ class _Loop:
                 log.fallback[k] = FALLBACKS.index(diagnostics.fallback)
                 times = diagnostics.build_us, diagnostics.solve_us, diagnostics.check_us
                 if len(diagnostics.prediction):
-                    log.prediction(preview, diagnostics.prediction)
+                    log.prediction(ahead, diagnostics.prediction)
             log.times[log.calls] = t, step_us, *times
             log.calls += 1
         log.motion[k] = (

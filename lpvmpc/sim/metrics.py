@@ -10,6 +10,9 @@ the first; an RMSE is the plain root of the mean square over those instants.
   corners are those of the rectangle from axle to axle, as wide as the body. A road that states no
   widths counts as `lpvmpc.road.path.WIDTH` wide on either side.
 - lap times: from crossing to crossing of a closed track's start line, complete laps only.
+- steering rate: root mean square of the commanded angle's change from one instant to the next,
+  over the control period; what a restless controller asks of its servo.
+- estimate: ey of the estimated position less the true one; None where nothing was estimated.
 - step time: thread CPU time of the controller's `command` [us].
 """
 
@@ -49,6 +52,10 @@ KEYS = (
     "lap_times_s",
     "step_time_us",
     "qp",
+    "world",
+    "estimator",
+    "steer_rate_rms_radps",
+    "estimate_ey_rmse_m",
     "wall_s",
     "realtime_factor",
     "versions",
@@ -87,6 +94,10 @@ def metrics(log: Log) -> dict[str, Any]:
         "lap_times_s": meta.get("lap_times_s", []) if log.scenario.path.closed else [],
         "step_time_us": step_times(log.timing["step_us"]),
         "qp": solver_record(log),
+        "world": meta.get("world", {"name": "ideal", "drawn": {}}),
+        "estimator": meta.get("estimator", "none"),
+        "steer_rate_rms_radps": rms(np.diff(c["delta_cmd_rad"]) / meta["Ts"]),
+        "estimate_ey_rmse_m": rms(c["est_ey_m"] - c["ey_m"]) if "est_ey_m" in c else None,
     }
     return {key: values[key] for key in KEYS}
 
