@@ -18,11 +18,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from lpvmpc.commands.track_table import print_table
 from lpvmpc.control.registry import CONTROLLERS, STIFFNESS_MODELS
-from lpvmpc.errors import LPVMPCError, RenderError
+from lpvmpc.errors import LPVMPCError, OptionError, RenderError
 from lpvmpc.kit import cli
 from lpvmpc.kit.files import readable, replacing, write_json
 from lpvmpc.kit.provenance import commit, machine
 from lpvmpc.road.names import SCENARIOS
+from lpvmpc.sim.world_names import WORLD_NAMES
 
 if TYPE_CHECKING:
     from lpvmpc.picture.video.viewer import Viewer
@@ -84,8 +85,23 @@ class Options:
     """Laps of a closed track."""
     weights: Path | None = None
     """Weights of the controller, a TOML file as eval/tune.py writes it (default: the package's)."""
+    world: Annotated[
+        str, cli.Option(help=(
+            f"What reality does that the controller is not told: {', '.join(WORLD_NAMES)}, or your "
+            "own FILE.toml; --seed draws it."
+        )),
+    ] = "ideal"
+    estimator: Annotated[
+        str | None,
+        cli.Option(metavar="NAME", help=(
+            "What makes a state of the sensors: ekf, none, or your own module:Class (default: ekf, "
+            "and none where the sensors are exact)."
+        )),
+    ] = None
+    latency: float | None = None
+    """Time until a command reaches the car, told to nobody [ms] (default: the world's)."""
     delay: int = 0
-    """Control periods after which a command reaches the car."""
+    """Control periods after which a command reaches the car, told to the controller."""
     step_timeout: float | None = None
     """Longest time of one controller call, compiling included, before the run is given up [s]
     (default: 60 for your own controller, no limit for the package's)."""
@@ -98,7 +114,7 @@ def main(options: Options) -> int:
     check(options)
     cli.check_opengl()
     from lpvmpc import Plant, load_controller, load_scenario, simulate
-    from lpvmpc.sim.loop import check_start
+    from lpvmpc.sim.ending import check_start
     from lpvmpc.sim.metrics import metrics
 
     scenario = load_scenario(options.scenario, **scenario_options(options))
@@ -126,7 +142,10 @@ def main(options: Options) -> int:
             seed=options.seed,
             laps=options.laps,
             start_offset=offset,
+            world=options.world,
+            estimator=options.estimator,
             delay=options.delay,
+            latency=None if options.latency is None else options.latency / 1000.0,
             step_timeout=options.step_timeout or (USER_TIMEOUT if own else None),
             progress=progress,
             name=options.controller,
@@ -149,6 +168,9 @@ def check(options: Options) -> None:
     """Refuse what only a running simulation would refuse otherwise."""
     cli.check_number("--seed", options.seed, 0, 2**63)
     cli.check_number("--delay", options.delay, 0, 30, "periods")
+    cli.check_number("--latency", options.latency, 0.0, 200.0, "ms")
+    if options.latency is not None and options.latency != round(options.latency):
+        raise OptionError("--latency", options.latency, "a whole number of milliseconds")
     cli.check_number("--step-timeout", options.step_timeout, 0.001, 86400.0, "s")
     cli.check_choice("--stiffness", options.stiffness, STIFFNESS_MODELS)
     if options.closed and options.no_closed:
