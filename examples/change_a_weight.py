@@ -2,7 +2,7 @@
 
     python examples/change_a_weight.py
 
-Weights have names (lpvmpc/control/formulation.py lists them). From the command line they come from
+Weights have names (lpvmpc/control/cost.py lists them). From the command line they come from
 a file: lpvmpc track --weights FILE.toml
 """
 
