@@ -74,6 +74,8 @@ def main(options: Options) -> int:
     what = {name: getattr(options, name)
             for name in ("wind_scale", "friction", "v_max", "ay_max", "grip")}  # fmt: skip
     scenario = load_scenario(options.scenario, **what)
+    for sentence in scenario.warnings:
+        print("Warning:", sentence, file=sys.stderr)
     made = {name: load(name, options.delay) for name in options.controllers}
     title = re.sub(r"[^\w.-]+", "-", f"{scenario.name}-{'-vs-'.join(options.controllers)}")
     out = cli.writable_folder(options.out or Path("runs") / title)
