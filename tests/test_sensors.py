@@ -5,16 +5,8 @@ import pytest
 
 from lpvmpc.errors import OptionError
 from lpvmpc.interface import State
-from lpvmpc.sensing.sensors import (
-    DEG,
-    EXACT,
-    LARGEST,
-    PRODUCTION,
-    RTK,
-    Channel,
-    Sensing,
-    Sensors,
-)
+from lpvmpc.sensing.channels import DEG, EXACT, LARGEST, PRODUCTION, RTK, Channel, Sensing
+from lpvmpc.sensing.sensors import Sensors
 
 TS = 0.033
 
