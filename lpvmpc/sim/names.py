@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from lpvmpc.control.stiffness.network import Weights
     from lpvmpc.sensing.sensors import Sensing
 
-ESTIMATORS = ("none",)
+ESTIMATORS = ("ekf", "none")
 """The package's own estimators."""
 
 
@@ -98,6 +98,10 @@ def load_estimator(
         UnknownNameError: No such name.
         EstimatorError: The user's class does not import, or is no estimator.
     """
+    if name == "ekf":
+        from lpvmpc.sensing.ekf import EKF  # compiled code: not for a run without it
+
+        return EKF(car or _packaged_car(), sensing, Ts)
     if name == "none":
         return Exact(car or _packaged_car(), Ts)
     if ":" not in name:
