@@ -7,7 +7,8 @@ from lpvmpc.bench import cases as ablation
 from lpvmpc.bench import report as ablation_report
 from lpvmpc.bench import verdict
 from lpvmpc.bench.cases import CASES, CHARGE, GRIPS, MODELS, PLAIN, Row, Search
-from lpvmpc.bench.verdict import Table, bars, sentences
+from lpvmpc.bench.verdict import Results, bars, sentences
+from lpvmpc.kit.findings import promises_sentence
 from lpvmpc.sim.metrics import KEYS
 
 SEARCHES = {
@@ -47,7 +48,7 @@ def made_up(changes=None, cases=CASES):
 
 
 def by_key(rows):
-    return {bar.key: bar for bar in bars(Table(rows))}
+    return {bar.key: bar for bar in bars(Results(rows))}
 
 
 # What is driven -----------------------------------------------------------------------------------
@@ -123,7 +124,7 @@ def test_the_search_says_when_more_may_be_better():
     found = ablation.search(valley({True: 0.3, False: 2.0}), fine=())
     assert (found[True].best, found[False].best) == (0.5, 1.2)
     assert found[True].at_an_end and found[False].at_an_end
-    (text, *_) = sentences(Table([]), found)
+    (text, *_) = sentences(Results([]), found)
     assert "at the end of what was tried" in text
 
 
@@ -146,8 +147,8 @@ def test_good_numbers_keep_every_promise():
     assert all(bar.ok for bar in found.values())
     # 4 mm and twice that without the observer, over 1 mm
     assert found["gain_over_constant"].value == pytest.approx(8.0)
-    assert found["circuit-0.76_rmse_beside_oracle_mm"].limit == pytest.approx(1.3 * 0.9 + 1.0)
-    assert found["circuit-0.92_largest_beside_oracle_mm"].limit == pytest.approx(2 * 5 * 0.9)
+    assert found["circuit-0.76_rmse_beside_oracle_mm"].limit.high == pytest.approx(1.3 * 0.9 + 1.0)
+    assert found["circuit-0.92_largest_beside_oracle_mm"].limit.high == pytest.approx(2 * 5 * 0.9)
     assert found["step_largest_mm"].value == pytest.approx(5.0)
 
 
@@ -171,7 +172,7 @@ def test_good_numbers_keep_every_promise():
 def test_a_promise_is_broken_by_the_number_it_is_about(case, bad, broken):
     found = by_key(made_up({(case, "network", True): bad}))
     assert {key for key, bar in found.items() if bar.ok is False} == broken
-    text = ablation_report.bars_sentence(list(found.values()))
+    text = promises_sentence(list(found.values()))
     assert text.startswith(f"{len(found) - len(broken)} of {len(found)} are met, not met: ")
 
 
@@ -186,12 +187,12 @@ def test_what_was_not_driven_has_no_verdict():
     found = by_key(made_up(cases=few))
     assert found["circuit-0.87_rmse_mm"].ok is None and found["circuit-0.76_rmse_mm"].ok
     assert found["network_wrong_lost"].ok is None and found["step_largest_mm"].ok is None
-    text = ablation_report.bars_sentence(list(found.values()))
+    text = promises_sentence(list(found.values()))
     assert text.endswith("were not measured.")
 
 
 def told(rows):
-    return "\n".join(sentences(Table(rows), SEARCHES))
+    return "\n".join(sentences(Results(rows), SEARCHES))
 
 
 def test_sentences_say_what_good_numbers_say():
@@ -227,8 +228,8 @@ def test_the_better_of_the_two_constants_is_what_counts():
     rows = made_up(nominal)
     assert by_key(rows)["gain_over_constant"].value == pytest.approx(2.0)
     assert "with the observer changes nothing that matters (1.05 and 1.00 mm)" in told(rows)
-    assert Table(rows).gain("circuit-0.76", "network", False) == pytest.approx(1.0)
-    assert Table(rows).gain("circuit-0.76", "network", True) == pytest.approx(4.0)
+    assert Results(rows).gain("circuit-0.76", "network", False) == pytest.approx(1.0)
+    assert Results(rows).gain("circuit-0.76", "network", True) == pytest.approx(4.0)
 
 
 def test_what_the_observer_costs_and_saves_is_told():
@@ -245,7 +246,7 @@ def test_a_small_difference_is_none():
 
 
 def test_no_sentence_is_made_of_nothing():
-    assert len(sentences(Table([]), SEARCHES)) == 1  # the search alone
+    assert len(sentences(Results([]), SEARCHES)) == 1  # the search alone
     few = [case for case in CASES if case.key in ablation.QUICK]
     assert "paper's road" not in told(made_up(cases=few))
 
@@ -309,15 +310,15 @@ def test_the_picture_is_drawn_with_lost_cars(tmp_path):
     lost = {(f"circuit-{grip:g}", "constant", observer): result(1.0, lost_at=5.0)
             for grip in (0.96, 1.0) for observer in (True, False)}  # fmt: skip
     file = tmp_path / "picture.png"
-    ablation_report.draw(made_up(lost), file)
+    ablation_report.draw(made_up(lost)).savefig(file)
     assert file.read_bytes().startswith(b"\x89PNG")
 
 
 def test_what_estimating_friction_is_worth_is_told_whichever_way_it_falls():
-    (told,) = [s for s in sentences(Table(made_up()), SEARCHES) if "estimates friction" in s]
+    (told,) = [s for s in sentences(Results(made_up()), SEARCHES) if "estimates friction" in s]
     assert "is kept: one that takes the road to be dry" in told and "has 3 times its RMSE" in told
     worse = {
         (case.key, "network-dry", True): result(0.5) for case in CASES if case.group == "friction"
     }
-    (told,) = [s for s in sentences(Table(made_up(worse)), SEARCHES) if "estimates friction" in s]
+    (told,) = [s for s in sentences(Results(made_up(worse)), SEARCHES) if "estimates friction" in s]
     assert "kept although it does worse" in told and "has 0.5 times its RMSE" in told

@@ -8,6 +8,7 @@ from fake_log import fake_log
 
 from lpvmpc.car import bicycle
 from lpvmpc.errors import ControllerError, DataError
+from lpvmpc.kit.findings import promises_sentence
 from lpvmpc.paper import (
     figures,
     findings,
@@ -242,7 +243,7 @@ def test_a_quick_look_has_no_verdict_on_what_it_did_not_drive(make):
     found = {bar.key: bar for bar in findings.bars(e)}
     assert found["circuit-0.87_lateral_rmse_mm"].ok is None
     assert found["paper_lateral_rmse_mm"].ok is False  # 1 mm of 0.5
-    assert "were not measured" in report.bars_sentence(list(found.values()))
+    assert "were not measured" in promises_sentence(list(found.values()))
     text = report.report(e, {})
     assert text.startswith("# The paper's results beside ours (quick look")
     assert "## From the printed formulas" in text and "without one part" not in text

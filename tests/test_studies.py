@@ -7,6 +7,7 @@ import pytest
 from lpvmpc.car import magic_formula as mf
 from lpvmpc.car.bicycle import CORRECTED, NX, Bicycle, lpv
 from lpvmpc.errors import LPVMPCError, UnknownNameError
+from lpvmpc.kit.findings import Limit, Table
 from lpvmpc.plant.mjcf import parameters
 from lpvmpc.plant.plant import Plant
 from lpvmpc.studies import report, runner, straight, transient
@@ -15,15 +16,7 @@ from lpvmpc.studies.reference import golden_tire, suspension
 from lpvmpc.studies.reference.broken_cars import break_car
 from lpvmpc.studies.reference.lateral_model import frequency_response, lateral_model, response
 from lpvmpc.studies.steady_state import Linear, slope_at_zero
-from lpvmpc.studies.study import (
-    CarUnderTest,
-    Finding,
-    Limit,
-    StudyResult,
-    Table,
-    load_study,
-    relative_error,
-)
+from lpvmpc.studies.study import CarUnderTest, StudyFinding, StudyResult, load_study, relative_error
 
 
 @pytest.fixture(scope="module")
@@ -72,9 +65,11 @@ def test_the_verdict_follows_from_value_and_limit():
 
 def test_a_figure_that_does_not_fit_the_table_is_refused():
     with pytest.raises(AssertionError):
-        Finding("tire", "x" * 39, 1.0, "m", Limit.at_most(1.0), "why")
+        StudyFinding(study="tire", figure="x" * 39, value=1.0, unit="m", limit=Limit.at_most(1.0))
     with pytest.raises(AssertionError):
-        Finding("tire", "a | b", 1.0, "m", Limit.at_most(1.0), "why")  # it would split the cell
+        StudyFinding(  # it would split the cell
+            study="tire", figure="a | b", value=1.0, unit="m", limit=Limit.at_most(1.0)
+        )
 
 
 def test_every_study_has_its_module():

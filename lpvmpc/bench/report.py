@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
-from datetime import date
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lpvmpc.bench.cases import (
     ABOUT,
@@ -18,15 +14,20 @@ from lpvmpc.bench.cases import (
     GROUPS,
     MODELS,
     PLAIN,
+    Measured,
     Model,
     Row,
     Search,
     geometric_mean,
 )
-from lpvmpc.bench.verdict import Bar, Table, bars, sentences
-from lpvmpc.kit.files import write_picture
+from lpvmpc.bench.verdict import Results, bars, sentences
+from lpvmpc.kit.findings import Finding, promises_sentence, promises_table
 from lpvmpc.kit.markdown import markdown_table
-from lpvmpc.kit.provenance import commit, machine, versions
+from lpvmpc.kit.provenance import machine
+from lpvmpc.kit.report import csv_text, record, versions_line
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 DEFINITIONS = """\
 Definitions:
@@ -61,14 +62,13 @@ def report(
     rows: Sequence[Row], searches: Mapping[bool, Search], *, quick: bool, jobs: int, picture: str
 ) -> str:
     """The report in Markdown."""
-    table, found = Table(rows), bars(Table(rows))
-    used = ", ".join(f"{name} {number}" for name, number in versions().items())
+    table, found = Results(rows), bars(Results(rows))
     title = "What adapting the cornering stiffness is worth"
     lines = [
         f"# {title}" + (" (quick look: a few cases, not the report)" if quick else ""),
         "",
         f"Machine: {machine()}; {jobs} run{'s' if jobs > 1 else ''} at a time.",
-        f"Versions: {used}; commit {commit() or 'unknown'}; {date.today().isoformat()}.",
+        versions_line(),
         "Seeds: 0 for the controllers (none of them draws), 0, 1 and 2 for the noise.",
         "",
         DEFINITIONS.format(weights=weights()),
@@ -80,8 +80,8 @@ def report(
         "",
         *(f"- {sentence}" for sentence in sentences(table, dict(searches))),
         "",
-        bars_table(found),
-        bars_sentence(found),
+        promises(found),
+        promises_sentence(found),
         "",
         "## Tables",
         "",
@@ -123,7 +123,7 @@ def weights() -> str:
     return ", ".join(f"{name} {value:g}" for name, value in used.items())
 
 
-def cell(row: Row | None) -> str:
+def cell(row: Measured | None) -> str:
     """RMSE and largest error of a run in mm, or where it was lost."""
     if row is None:
         return "-"
@@ -132,7 +132,7 @@ def cell(row: Row | None) -> str:
     return _lost(row)
 
 
-def _lost(row: Row) -> str:
+def _lost(row: Measured) -> str:
     reason, s = str(row.result["reason"]), row.result["s_end_m"]
     if s is None:
         return "failed"
@@ -157,7 +157,7 @@ def group_table(rows: Sequence[Row], group: str) -> str:
     rows = [r for r in rows if r.case.group == group]
     if not rows:
         return ""
-    table = Table(rows)
+    table = Results(rows)
     cases = list({r.case.key: r.case for r in rows}.values())
     body = [
         [m.key, _yes(observer), *(cell(table.get(case.key, m.key, observer)) for case in cases)]
@@ -167,7 +167,7 @@ def group_table(rows: Sequence[Row], group: str) -> str:
     return markdown_table(f"{GROUPS[group]}: lateral RMSE / largest error [mm]", header, body)
 
 
-def gain_table(table: Table) -> str:
+def gain_table(table: Results) -> str:
     """How many times more exact than the better constant each model is on the circuit."""
     body = []
     for m, observer in _lines([r for r in table.rows if r.case.group == "grip"]):
@@ -179,7 +179,7 @@ def gain_table(table: Table) -> str:
     return markdown_table(title, header, body)
 
 
-def summary_table(table: Table) -> str:
+def summary_table(table: Results) -> str:
     """Per model: lost runs, typical error, and step times on one road."""
     body = []
     for m, observer in _lines([r for r in table.rows if not r.case.wrong and r.model != DRY]):
@@ -218,32 +218,12 @@ def search_table(searches: Mapping[bool, Search]) -> str:
     return markdown_table(title, header, body)
 
 
-def bars_table(found: Sequence[Bar]) -> str:
+def promises(found: Sequence[Finding]) -> str:
     """The promises that were measured, with figure, limit and verdict."""
-    body = [
-        (
-            bar.text,
-            f"{bar.value:.3f}" if 0.0 < bar.value < 1.0 else f"{bar.value:.3g}",
-            f"{'>=' if bar.at_least else '<='} {bar.limit:.3g}",
-            bar.unit,
-            "met" if bar.ok else "MISSED",
-        )
-        for bar in found
-        if bar.value is not None
-    ]
     title = "Promises about the network with the observer; circuit without wind"
-    return markdown_table(title, ("figure", "value", "limit", "unit", "verdict"), body)
-
-
-def bars_sentence(found: Sequence[Bar]) -> str:
-    """How many promises are met, and which are not."""
-    measured = [bar for bar in found if bar.ok is not None]
-    bad = [bar for bar in measured if not bar.ok]
-    rest = f"; {len(found) - len(measured)} were not measured" if len(measured) < len(found) else ""
-    if not bad:
-        return f"All {len(measured)} promises that were measured are met{rest}."
-    named = "; ".join(bar.text for bar in bad)
-    return f"{len(measured) - len(bad)} of {len(measured)} are met, not met: {named}{rest}."
+    return promises_table(
+        title, found, lambda value: f"{value:.3f}" if 0.0 < value < 1.0 else f"{value:.3g}"
+    )
 
 
 def _yes(observer: bool) -> str:
@@ -261,30 +241,27 @@ COLUMNS = (
 
 def as_csv(rows: Iterable[Row]) -> str:
     """Every run, one line each."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    head = ("group", "case", "model", "observer")
-    writer.writerow((*head, *COLUMNS, "step_p50_us", "step_p99_us"))
+    header = ("group", "case", "model", "observer", *COLUMNS, "step_p50_us", "step_p99_us")
+    body = []
     for row in rows:
         times = row.result["step_time_us"] or {}
-        values = [row.result[name] for name in COLUMNS]
-        values += [times.get("p50"), times.get("p99")]
-        shown = (f"{v:.6g}" if isinstance(v, float) else "" if v is None else v for v in values)
-        writer.writerow((row.case.group, row.case.key, row.model.key, _yes(row.observer), *shown))
-    return text.getvalue()
+        who = (row.case.group, row.case.key, row.model.key, _yes(row.observer))
+        values = (row.result[name] for name in COLUMNS)
+        body.append((*who, *values, times.get("p50"), times.get("p99")))
+    return csv_text(header, body)
 
 
 def as_json(
     rows: Sequence[Row], searches: Mapping[bool, Search], *, quick: bool, jobs: int
 ) -> dict[str, Any]:
     """One object: the promises by key, the sentences, the searches, every run, the conditions."""
-    table = Table(rows)
+    table = Results(rows)
     return {
         "bars": {
             bar.key: {
-                "text": bar.text, "value": bar.value, "unit": bar.unit,
-                "limit": None if bar.limit != bar.limit else bar.limit,
-                "at_least": bar.at_least, "ok": bar.ok,
+                "text": bar.figure, "value": bar.value, "unit": bar.unit,
+                "limit": bar.limit and bar.limit.bound,
+                "at_least": bar.limit is not None and bar.limit.is_lower, "ok": bar.ok,
             }
             for bar in bars(table)
         },
@@ -304,19 +281,12 @@ def as_json(
             }
             for row in rows
         ],
-        "record": {
-            "quick": quick, "jobs": jobs, "machine": machine(), "versions": versions(),
-            "commit": commit(),
-        },
+        "record": record(quick=quick, jobs=jobs),
     }  # fmt: skip
 
 
-def draw(rows: Sequence[Row], file: Path) -> None:
-    """Write the picture: errors on the circuit over the share of the grip, log scale.
-
-    Raises:
-        OutputError: It cannot be written.
-    """
+def draw(rows: Sequence[Row]) -> Figure:
+    """The picture: errors on the circuit over the share of the grip, log scale."""
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -359,4 +329,5 @@ def draw(rows: Sequence[Row], file: Path) -> None:
             axes.set_xlabel("share of the grip [%]")
         handles, labels = grid[0, 1].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=4, handlelength=2.4)
-        write_picture(file, figure, dpi=200)
+        figure.canvas.draw()
+    return figure

@@ -6,18 +6,19 @@ Everything here is computed from the rows, whichever way it falls; a figure that
 
 from __future__ import annotations
 
-import math
 import statistics
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 
 from lpvmpc.bench.cases import DRY, GRIPS, MODELS, PLAIN, STEPS, Row, Search, geometric_mean
+from lpvmpc.kit.findings import Finding, Limit
 
 MATTERS = 1.1
 """Two errors count as different where their ratio is at least this."""
+DIGITS = 3
+"""Of a limit as it is printed."""
 
 
-class Table:
+class Results:
     """The rows by case, model and observer."""
 
     def __init__(self, rows: Iterable[Row]) -> None:
@@ -57,39 +58,16 @@ class Table:
         ]  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True)
-class Bar:
-    """A promise: a figure and what it must be."""
-
-    key: str
-    """Name in the files."""
-    text: str
-    """What it is."""
-    value: float | None
-    """What was measured; None where it was not."""
-    limit: float
-    """What it may be at most, or must be at least."""
-    unit: str = "mm"
-    """Of both."""
-    at_least: bool = False
-    """Whether the limit is a lower one."""
-
-    @property
-    def ok(self) -> bool | None:
-        """Whether it is met; None where it was not measured."""
-        if self.value is None:
-            return None
-        return self.value >= self.limit if self.at_least else self.value <= self.limit
-
-
-def bars(table: Table) -> list[Bar]:
+def bars(table: Results) -> list[Finding]:
     """The promises about the network, each with its figure; errors in mm, lost runs charged."""
     return [
         *_accuracy(table),
-        Bar(
-            key="gain_over_constant", unit="times", limit=1.5, at_least=True,
-            text="76 %: best constant, no observer / ours",
+        Finding(
+            key="gain_over_constant",
+            figure="76 %: best constant, no observer / ours",
             value=_gain_over_constant(table),
+            unit="times",
+            limit=Limit.at_least(1.5, DIGITS),
         ),
         *_friction(table),
         *_wrong(table),
@@ -97,69 +75,89 @@ def bars(table: Table) -> list[Bar]:
     ]  # fmt: skip
 
 
-def _gain_over_constant(table: Table) -> float | None:
+def _gain_over_constant(table: Results) -> float | None:
     constant, ours = table.constant("circuit-0.76", False), table.get("circuit-0.76", "network")
     return None if constant is None or ours is None else constant.rmse / ours.rmse
 
 
-def _accuracy(table: Table) -> Iterable[Bar]:
+def _accuracy(table: Results) -> Iterable[Finding]:
     for grip, rmse, largest in ((0.76, 3.0, 20.0), (0.87, 5.0, 40.0), (0.92, 8.0, 60.0),
                                 (0.96, None, 100.0)):  # fmt: skip
         case, title = f"circuit-{grip:g}", f"{100 * grip:.0f} %"
         if rmse is not None:
-            yield Bar(key=f"{case}_rmse_mm", text=f"{title}: RMSE", limit=rmse,
-                      value=_mm(table.rmse(case, "network")))  # fmt: skip
-        yield Bar(key=f"{case}_largest_mm", text=f"{title}: largest", limit=largest,
-                  value=_mm(table.largest(case, "network")))  # fmt: skip
+            yield _in_mm(f"{case}_rmse", f"{title}: RMSE", table.rmse(case, "network"), rmse)
+        value = table.largest(case, "network")
+        yield _in_mm(f"{case}_largest", f"{title}: largest", value, largest)
         row = table.get(case, "network")
         off = None
         if row is not None:
             off = 100.0 * abs(float(row.result["duration_s"] or 0.0)
                               / float(row.result["reference_duration_s"] or 1.0) - 1.0)  # fmt: skip
-        yield Bar(key=f"{case}_duration_percent", text=f"{title}: duration off",
-                  unit="%", limit=2.0, value=off)  # fmt: skip
+        yield Finding(
+            key=f"{case}_duration_percent",
+            figure=f"{title}: duration off",
+            value=off,
+            unit="%",
+            limit=Limit.at_most(2.0, DIGITS),
+        )
 
 
-def _friction(table: Table) -> Iterable[Bar]:
-    for case, text, limit in (
+def _in_mm(key: str, figure: str, value: float | None, limit: float | None) -> Finding:
+    """A length [m] that may be so many millimetres; a limit of None is not known."""
+    return Finding(
+        key=f"{key}_mm",
+        figure=figure,
+        value=_mm(value),
+        unit="mm",
+        limit=None if limit is None else Limit.at_most(limit, DIGITS),
+    )
+
+
+def _friction(table: Results) -> Iterable[Finding]:
+    for case, figure, limit in (
         ("slippery-0.8", "friction 0.5, 80 %: largest", 20.0),
         ("slippery-0.92", "friction 0.5, 92 %: largest", 60.0),
         ("drop", "drop to 0.75 at 76 %: largest", 150.0),
     ):
-        value = _mm(table.largest(case, "network"))
-        yield Bar(key=f"{case}_largest_mm", text=text, limit=limit, value=value)
+        yield _in_mm(f"{case}_largest", figure, table.largest(case, "network"), limit)
     steps = [table.largest(f"step-{s:.0f}", "network") for s in STEPS]
     worst = None if None in steps else max(value for value in steps if value is not None)
-    yield Bar(key="step_largest_mm", text=f"step to 0.5, worst of {len(steps)} bends: largest",
-              limit=300.0, value=_mm(worst))  # fmt: skip
+    figure = f"step to 0.5, worst of {len(steps)} bends: largest"
+    yield _in_mm("step_largest", figure, worst, 300.0)
 
 
-def _wrong(table: Table) -> Iterable[Bar]:
+def _wrong(table: Results) -> Iterable[Finding]:
     for model in ("network", "network-secant"):
         rows = [r for r in table.rows if r.case.wrong and r.model.key == model and r.observer]
-        lost = float(sum(not r.completed for r in rows)) if rows else None
-        yield Bar(key=f"{model}_wrong_lost", text=f"{model} made wrong: lost runs",
-                  unit=f"of {len(rows)}", limit=0.0, value=lost)  # fmt: skip
+        yield Finding(
+            key=f"{model}_wrong_lost",
+            figure=f"{model} made wrong: lost runs",
+            value=float(sum(not r.completed for r in rows)) if rows else None,
+            unit=f"of {len(rows)}",
+            limit=Limit.at_most(0.0),
+        )
 
 
-def _beside_the_oracle(table: Table) -> Iterable[Bar]:
+def _beside_the_oracle(table: Results) -> Iterable[Finding]:
     """Up to 87 % at most 1.3 times the oracle's error and 1 mm, at 92 % twice the oracle's."""
     for what, measure in (("rmse", table.rmse), ("largest", table.largest)):
         for grip in (grip for grip in GRIPS if grip <= 0.92):
             case = f"circuit-{grip:g}"
-            own, oracle = _mm(measure(case, "network")), _mm(measure(case, "oracle"))
+            own, oracle = measure(case, "network"), measure(case, "oracle")
             factor, more = (1.3, 1.0) if grip <= 0.87 else (2.0, 0.0)
-            limit = math.nan if oracle is None else factor * oracle + more
             name = "RMSE" if what == "rmse" else what
-            yield Bar(key=f"{case}_{what}_beside_oracle_mm", limit=limit,
-                      text=f"{100 * grip:.0f} %: {name} beside the oracle",
-                      value=None if oracle is None else own)  # fmt: skip
+            yield _in_mm(
+                f"{case}_{what}_beside_oracle",
+                f"{100 * grip:.0f} %: {name} beside the oracle",
+                None if oracle is None else own,
+                None if oracle is None else factor * (1e3 * oracle) + more,
+            )
 
 
 # Sentences ----------------------------------------------------------------------------------------
 
 
-def sentences(table: Table, searches: dict[bool, Search]) -> list[str]:
+def sentences(table: Results, searches: dict[bool, Search]) -> list[str]:
     """What the numbers say, one statement each."""
     told: list[Callable[[], str | None]] = [
         lambda: _best_constant(searches),
@@ -188,7 +186,7 @@ def _best_constant(searches: dict[bool, Search]) -> str:
     return f"The best constant stiffness is {kind} the nominal one: {' and '.join(parts)}."
 
 
-def _on_paper(table: Table) -> str | None:
+def _on_paper(table: Results) -> str | None:
     parts = []
     for observer in (True, False):
         constant, ours = table.constant("paper", observer), table.get("paper", "network", observer)
@@ -202,7 +200,7 @@ def _on_paper(table: Table) -> str | None:
     )
 
 
-def _over_grip(table: Table, model: str) -> str | None:
+def _over_grip(table: Results, model: str) -> str | None:
     parts = []
     for observer in (True, False):
         gains = {g: table.gain(f"circuit-{g:g}", model, observer) for g in GRIPS}
@@ -218,7 +216,7 @@ def _over_grip(table: Table, model: str) -> str | None:
     )
 
 
-def _two_networks(table: Table) -> str | None:
+def _two_networks(table: Results) -> str | None:
     parts = []
     for observer in (True, False):
         pairs = [
@@ -236,7 +234,7 @@ def _two_networks(table: Table) -> str | None:
     return f"Our network against the paper's: {'; '.join(parts)}."
 
 
-def _survival(table: Table) -> str | None:
+def _survival(table: Results) -> str | None:
     parts = []
     for model in (*MODELS, DRY, PLAIN):
         for observer in (True, False):
@@ -253,7 +251,7 @@ def _survival(table: Table) -> str | None:
     return f"The car was lost by {', '.join(parts)}." if parts else "No model lost the car."
 
 
-def _observer(table: Table) -> str | None:
+def _observer(table: Results) -> str | None:
     parts, lost = [], []
     for key in ("constant", "constant-best", "network-secant", "network"):
         pairs = [
@@ -280,7 +278,7 @@ def _observer(table: Table) -> str | None:
     )
 
 
-def _friction_sentence(table: Table) -> str | None:
+def _friction_sentence(table: Results) -> str | None:
     cases = ["drop", *(f"step-{s:.0f}" for s in STEPS)]
     ours = [row for key in cases if (row := table.get(key, "network")) is not None]
     known = [row for key in cases if (row := table.get(key, "oracle")) is not None]
@@ -294,7 +292,7 @@ def _friction_sentence(table: Table) -> str | None:
     )
 
 
-def _estimate(table: Table) -> str | None:
+def _estimate(table: Results) -> str | None:
     """What estimating friction is worth, beside leaving it to the observer."""
     pairs = [
         (known, dry)
@@ -313,7 +311,7 @@ def _estimate(table: Table) -> str | None:
     )
 
 
-def _robustness(table: Table) -> str | None:
+def _robustness(table: Results) -> str | None:
     """How bad the worst of the models made wrong is."""
     parts = []
     for key in ("constant", "network-secant", "network"):
@@ -330,7 +328,7 @@ def _robustness(table: Table) -> str | None:
     )
 
 
-def _claim(table: Table) -> str | None:
+def _claim(table: Results) -> str | None:
     parts = []
     for observer in (True, False):
         ratios = [

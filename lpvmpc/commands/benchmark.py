@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from lpvmpc.errors import LPVMPCError
 from lpvmpc.kit import cli
-from lpvmpc.kit.files import write_json, write_text
+from lpvmpc.kit.report import write_report
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -75,14 +75,16 @@ def main(options: Options) -> int:
         return cli.INTERRUPTED
     text = report.report(rows, searches, quick=quick, jobs=jobs, picture=f"{NAME}.png")
     print(summary(rows, searches))
-    write_text(out / f"{NAME}.md", text)
-    write_text(out / f"{NAME}.csv", report.as_csv(rows))
-    values = report.as_json(rows, searches, quick=quick, jobs=jobs)
-    for file in (out / f"{NAME}.json", options.json):
-        if file is not None:
-            write_json(file, values)
-    report.draw(rows, out / f"{NAME}.png")
-    print(f"Saved {out}/ ({', '.join(f'{NAME}.{kind}' for kind in ('md', 'csv', 'json', 'png'))})")
+    files = write_report(
+        out,
+        NAME,
+        text=text,
+        table=report.as_csv(rows),
+        values=report.as_json(rows, searches, quick=quick, jobs=jobs),
+        copy=options.json,
+        picture=report.draw(rows),
+    )
+    print(f"Saved {out}/ ({', '.join(file.name for file in files)})")
     return cli.DONE
 
 
@@ -126,15 +128,16 @@ def driver(jobs: int, cache: Path, progress: Progress) -> Any:
 def summary(rows: Sequence[Row], searches: Mapping[bool, Search]) -> str:
     """What is printed, at 80 columns: the summary, the promises, the sentences."""
     from lpvmpc.bench import report
-    from lpvmpc.bench.verdict import Table, bars, sentences
+    from lpvmpc.bench.verdict import Results, bars, sentences
+    from lpvmpc.kit.findings import promises_sentence
 
-    found = bars(Table(rows))
+    found = bars(Results(rows))
     parts = [
-        report.summary_table(Table(rows)),
-        report.bars_table(found),
-        report.bars_sentence(found),
+        report.summary_table(Results(rows)),
+        report.promises(found),
+        promises_sentence(found),
         "",
-        *sentences(Table(rows), dict(searches)),
+        *sentences(Results(rows), dict(searches)),
     ]
     return "\n".join(part if "\n" in part else wrapped(part) for part in parts)
 

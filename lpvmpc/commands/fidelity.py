@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Annotated
 
 from lpvmpc.errors import UnknownNameError
 from lpvmpc.kit import cli
-from lpvmpc.kit.files import write_json, write_text
+from lpvmpc.kit.files import write_json
+from lpvmpc.kit.report import write_report
 from lpvmpc.studies.names import BROKEN, STUDIES
 
 if TYPE_CHECKING:
@@ -83,8 +84,8 @@ def main(options: Options) -> int:
     how = " ".join(["python eval/fidelity.py", *options.studies])
     if options.broken is not None:
         how += f" --broken {options.broken}"
-    write_text(out / "fidelity.md", report.markdown(results, "fidelity", how, options.broken))
-    write_text(out / "fidelity.csv", report.as_csv(results))
+    text = report.markdown(results, "fidelity", how, options.broken)
+    write_report(out, "fidelity", text=text, table=report.as_csv(results))
     if options.json is not None:
         write_json(options.json, report.as_json(results))
     count = sum(len(result.findings) for result in results)

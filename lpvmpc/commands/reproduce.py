@@ -19,7 +19,8 @@ from typing import TYPE_CHECKING, Any
 
 from lpvmpc.control.registry import CONTROLLERS
 from lpvmpc.kit import cli
-from lpvmpc.kit.files import write_json, write_text
+from lpvmpc.kit.findings import promises_sentence
+from lpvmpc.kit.report import write_report
 
 if TYPE_CHECKING:
     from lpvmpc.paper.measurements import Evidence
@@ -74,14 +75,15 @@ def main(options: Options) -> int:
         print("Interrupted; the same command goes on from here.", file=sys.stderr)
         return cli.INTERRUPTED
     found = replace(found, seconds=time.perf_counter() - start)
-    write_text(out / f"{NAME}.md", report.report(
-        found, {name: f"{NAME}/{file.name}" for name, file in pictures.items()}
-    ))  # fmt: skip
-    write_text(out / f"{NAME}.csv", report.as_csv(found))
-    values = report.as_json(found)
-    for file in (out / f"{NAME}.json", options.json):
-        if file is not None:
-            write_json(file, values)
+    addresses = {name: f"{NAME}/{file.name}" for name, file in pictures.items()}
+    write_report(
+        out,
+        NAME,
+        text=report.report(found, addresses),
+        table=report.as_csv(found),
+        values=report.as_json(found),
+        copy=options.json,
+    )
     print(summary(found, report, findings))
     print(f"Saved {out}/ ({NAME}.md, {NAME}.csv, {NAME}.json, {NAME}/*.png)")
     return cli.DONE
@@ -119,7 +121,7 @@ def retrain(cache: Path, jobs: int, quick: bool, say: Progress) -> dict[str, Pat
 def summary(found: Evidence, report: Any, findings: Any) -> str:
     """What is printed, at 80 columns: the promises and the sentences."""
     bars = findings.bars(found)
-    parts = [report.bars_table(bars), report.bars_sentence(bars), ""]
+    parts = [report.promises(bars), promises_sentence(bars), ""]
     parts += [f"- {sentence}" for sentence in (*findings.sentences(found), *found.missing)]
     return "\n".join(
         part if "\n" in part else textwrap.fill(part, 80, subsequent_indent="  ")

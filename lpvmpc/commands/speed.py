@@ -8,19 +8,16 @@ met or not; 2 bad input; 130 interrupted.
 
 from __future__ import annotations
 
-import csv
-import io
 import sys
 from dataclasses import dataclass
-from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lpvmpc.errors import RenderError
 from lpvmpc.kit import cli
-from lpvmpc.kit.files import write_json, write_text
 from lpvmpc.kit.markdown import markdown_table
-from lpvmpc.kit.provenance import commit, machine, versions
+from lpvmpc.kit.provenance import machine
+from lpvmpc.kit.report import csv_text, record, versions_line, write_report
 
 if TYPE_CHECKING:
     from lpvmpc.bench.speed import Figure
@@ -75,12 +72,15 @@ def main(options: Options) -> int:
     load = meanwhile.describe()
     text = report(sections, rounds, load)
     print(text, end="")
-    write_text(out / "speed.md", text)
-    write_text(out / "speed.csv", as_csv(figures))
-    for file in (out / "speed.json", options.json):
-        if file is not None:
-            write_json(file, as_json(figures, rounds, load))
-    print(f"Saved {out}/ (speed.md, speed.csv, speed.json)")
+    files = write_report(
+        out,
+        "speed",
+        text=text,
+        table=as_csv(figures),
+        values=as_json(figures, rounds, load),
+        copy=options.json,
+    )
+    print(f"Saved {out}/ ({', '.join(file.name for file in files)})")
     return cli.DONE
 
 
@@ -126,12 +126,11 @@ def measure(rounds: int, quick: bool) -> list[tuple[str, list[Figure]]]:
 
 def report(sections: list[tuple[str, list[Figure]]], rounds: int, load: str) -> str:
     """The report in Markdown."""
-    used = ", ".join(f"{name} {number}" for name, number in versions().items())
     lines = [
         "# Speed",
         "",
         f"Machine: {machine()}; meanwhile {load}.",
-        f"Versions: {used}; commit {commit() or 'unknown'}; {date.today().isoformat()}.",
+        versions_line(),
         "",
         DEFINITIONS.format(rounds=rounds),
     ]
@@ -169,15 +168,13 @@ def number(value: float) -> str:
 
 def as_csv(figures: list[Figure]) -> str:
     """All figures with all rounds, one line each."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(("key", "quantity", "unit", "value", "limit", "ok", "rounds"))
+    header = ("key", "quantity", "unit", "value", "limit", "ok", "rounds")
+    body = []
     for f in figures:
         rounds = " ".join(f"{value:.6g}" for value in f.rounds)
-        limit = "" if f.limit is None else f.limit
-        ok = "" if f.ok is None else f.ok
-        writer.writerow((f.key, f.text, f.unit, f"{f.value:.6g}", limit, ok, rounds))
-    return text.getvalue()
+        limit = None if f.limit is None else str(f.limit)
+        body.append((f.key, f.text, f.unit, f.value, limit, f.ok, rounds))
+    return csv_text(header, body)
 
 
 def as_json(figures: list[Figure], rounds: int, load: str) -> dict[str, Any]:
@@ -185,11 +182,5 @@ def as_json(figures: list[Figure], rounds: int, load: str) -> dict[str, Any]:
     return {
         **{f.key: f.value for f in figures},
         "bars": {f.key: {"limit": f.limit, "ok": f.ok} for f in figures if f.limit is not None},
-        "record": {
-            "rounds": rounds,
-            "machine": machine(),
-            "load": load,
-            "versions": versions(),
-            "commit": commit(),
-        },
+        "record": record(rounds=rounds, load=load),
     }

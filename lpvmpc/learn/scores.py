@@ -6,7 +6,6 @@ and with the paper's; for `network` also of the axle's force and its local slope
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,8 +16,8 @@ import numpy.typing as npt
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.control.stiffness import network
 from lpvmpc.control.stiffness.secant_network import SecantNetwork
-from lpvmpc.errors import OutputError
-from lpvmpc.kit.files import write_picture
+from lpvmpc.kit.files import write_picture, write_text
+from lpvmpc.kit.report import csv_text
 from lpvmpc.learn.dataset import Dataset, samples_of, secant_stiffness
 from lpvmpc.units import Array
 
@@ -136,16 +135,7 @@ def write_csv(file: Path, rows: list[dict[str, Any]]) -> None:
     Raises:
         OutputError: The file cannot be written.
     """
-    try:
-        with open(file, "w", newline="") as out:
-            writer = csv.DictWriter(out, list(rows[0]), lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(
-                {k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()}
-                for row in rows
-            )
-    except OSError as error:
-        raise OutputError(f"Cannot write {str(file)!r}: {error.strerror or error}.") from error
+    write_text(file, csv_text(list(rows[0]), (row.values() for row in rows)))
 
 
 def draw(folder: Path, trained: Trained, data: Dataset, car: VehicleParams) -> None:

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from lpvmpc.bench.cases import CHARGE, geometric_mean
-from lpvmpc.bench.verdict import Bar
 from lpvmpc.control.registry import CONTROLLERS
+from lpvmpc.kit.findings import Finding, Limit
 from lpvmpc.paper import steering_at_rest
 from lpvmpc.paper.measurements import Evidence, Row
 from lpvmpc.paper.printed_formulas import SLIPS
@@ -245,7 +245,7 @@ def _scaled(value: float | None, factor: float) -> float | None:
 # Promises -----------------------------------------------------------------------------------------
 
 
-def bars(e: Evidence) -> list[Bar]:
+def bars(e: Evidence) -> list[Finding]:
     """The promises, each with its figure; a lost car is charged."""
     found = []
     for case, title, key, unit, scale, limit in (
@@ -263,22 +263,28 @@ def bars(e: Evidence) -> list[Bar]:
             told = row.get(key)
             value = scale * (CHARGE if told is None else told)
         name = f"{case}_{key}" if scale == 1.0 else f"{case}_{key.removesuffix('_m')}_mm"
-        found.append(Bar(key=name, text=title, value=value, limit=limit, unit=unit))
+        found.append(_promise(name, title, value, limit, unit))
     for one in e.rests:
         where = "circle" if one.turning else "straight"
         left = 1e3 * one.left if one.completed else math.inf
-        found.append(
-            Bar(key=f"rest_{where}_{one.vx:g}_mrad", text=f"steering at rest, {where}, "
-                f"{one.vx:g} m/s", value=left, limit=1e3 * steering_at_rest.LIMIT, unit="mrad")
-        )  # fmt: skip
+        found.append(_promise(
+            f"rest_{where}_{one.vx:g}_mrad", f"steering at rest, {where}, {one.vx:g} m/s", left,
+            1e3 * steering_at_rest.LIMIT, "mrad",
+        ))  # fmt: skip
     mixed = float(np.median(e.sphere.of("mixed").final))
-    found.append(Bar(key="sphere_mixed", text="sphere: median distance, mixed", value=mixed,
-                     limit=sphere.BAR, unit=""))  # fmt: skip
+    found.append(_promise("sphere_mixed", "sphere: median distance, mixed", mixed, sphere.BAR))
     driven = {row.case.scenario for row in e.rows}
     shared = sorted(driven & set(e.tuned_on))
-    found.append(Bar(key="tuned_on_reported", text="roads here that also tuned weights",
-                     value=float(len(shared)), limit=0.0, unit="roads"))  # fmt: skip
+    found.append(_promise(
+        "tuned_on_reported", "roads here that also tuned weights", float(len(shared)), 0.0, "roads"
+    ))  # fmt: skip
     return found
+
+
+def _promise(
+    key: str, figure: str, value: float | None, limit: float, unit: str = ""
+) -> Finding:
+    return Finding(key=key, figure=figure, value=value, unit=unit, limit=Limit.at_most(limit))
 
 
 # Sentences ----------------------------------------------------------------------------------------

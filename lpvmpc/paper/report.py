@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
-from datetime import date
 from typing import Any
 
-import numpy as np
-
-from lpvmpc.bench.report import short
-from lpvmpc.bench.verdict import Bar
+from lpvmpc.bench.report import cell, short
+from lpvmpc.kit.findings import Finding, promises_sentence, promises_table
 from lpvmpc.kit.markdown import markdown_table
-from lpvmpc.kit.provenance import commit, machine, versions
+from lpvmpc.kit.provenance import machine
+from lpvmpc.kit.report import csv_text, finite, record, versions_line
 from lpvmpc.paper import findings
 from lpvmpc.paper.findings import Number, Value
 from lpvmpc.paper.measurements import Evidence, Row
@@ -88,8 +84,8 @@ def report(e: Evidence, pictures: Mapping[str, str]) -> str:
         *(f"- {sentence}" for sentence in findings.sentences(e)),
         *(f"- {sentence}" for sentence in e.missing),
         "",
-        bars_table(found),
-        bars_sentence(found),
+        promises(found),
+        promises_sentence(found),
         "",
         "## The paper's numbers",
         "",
@@ -121,11 +117,10 @@ def _options(e: Evidence) -> Iterable[str]:
 
 def head(e: Evidence) -> list[str]:
     """Machine, versions, seeds, weights."""
-    used = ", ".join(f"{name} {number}" for name, number in versions().items())
     seeds = e.sphere.selections[0].seeds
     return [
         f"Machine: {machine()}; {e.jobs} run{'s' if e.jobs > 1 else ''} at a time.",
-        f"Versions: {used}; commit {commit() or 'unknown'}; {date.today().isoformat()}.",
+        versions_line(),
         f"Seeds: 0 for controllers (none of them draws) and tuning, {seeds[0]} to {seeds[-1]} for "
         "the sphere function.",
         f"The tables hold {len(e.rows)} runs, {e.driven} of them different; {e.kept} were kept "
@@ -157,27 +152,10 @@ def weights_sentence(e: Evidence) -> str:
 # Tables -------------------------------------------------------------------------------------------
 
 
-def bars_table(found: Sequence[Bar]) -> str:
+def promises(found: Sequence[Finding]) -> str:
     """The promises that were measured, with figure, limit and verdict."""
-    body = [
-        (bar.text, f"{bar.value:.3g}", f"<= {bar.limit:g}", bar.unit,
-         "met" if bar.ok else "MISSED")
-        for bar in found
-        if bar.value is not None
-    ]  # fmt: skip
     title = "Promises; errors of lpv-mpc, the steering's peak to peak after a gust"
-    return markdown_table(title, ("figure", "value", "limit", "unit", "verdict"), body)
-
-
-def bars_sentence(found: Sequence[Bar]) -> str:
-    """How many promises are met, and which are not."""
-    measured = [bar for bar in found if bar.ok is not None]
-    bad = [bar.text for bar in measured if not bar.ok]
-    rest = f"; {len(found) - len(measured)} were not measured" if len(measured) < len(found) else ""
-    if not bad:
-        return f"All {len(measured)} promises that were measured are met{rest}."
-    met = len(measured) - len(bad)
-    return f"{met} of {len(measured)} are met, not met: {'; '.join(bad)}{rest}."
+    return promises_table(title, found)
 
 
 def numbers_table(numbers: Sequence[Number], group: str) -> str:
@@ -279,18 +257,6 @@ def case_table(
     return markdown_table(title, [*header, *(c.title for c in cases)], body, words=header)
 
 
-def cell(row: Row | None) -> str:
-    """RMSE and largest error of a run in mm, or where it was lost."""
-    if row is None:
-        return "-"
-    if row.completed:
-        return f"{short(1e3 * row.rmse)} / {short(1e3 * row.largest)}"
-    reason, s = str(row.result["reason"]), row.result["s_end_m"]
-    kinds = {"off": "off", "spun": "spun", "rolled": "rolled", "stuck": "stuck", "too": "slow"}
-    kind = kinds.get(reason.partition(" ")[0].rstrip(":"), "failed")
-    return kind if s is None else f"{kind} at {s:.0f} m"
-
-
 def ablation(e: Evidence, pictures: Mapping[str, str]) -> Iterable[str]:
     """The tables from the printed formulas to the full controller."""
     yield "## From the printed formulas to the full controller\n"
@@ -377,23 +343,22 @@ COLUMNS = (
 
 def as_csv(e: Evidence) -> str:
     """Every run, one line each."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(("group", "line", "road", *COLUMNS, "fallbacks", "step_p50_us", "step_p99_us"))
+    header = ("group", "line", "road", *COLUMNS, "fallbacks", "step_p50_us", "step_p99_us")
+    body = []
     for row in e.rows:
         times, qp = row.result["step_time_us"] or {}, row.result["qp"] or {}
-        values = [row.result[name] for name in COLUMNS]
-        values += [qp.get("fallback"), times.get("p50"), times.get("p99")]
-        shown = (f"{v:.6g}" if isinstance(v, float) else "" if v is None else v for v in values)
-        writer.writerow((row.entry.group, row.entry.key, row.case.key, *shown))
-    return text.getvalue()
+        values = (row.result[name] for name in COLUMNS)
+        more = (qp.get("fallback"), times.get("p50"), times.get("p99"))
+        body.append((row.entry.group, row.entry.key, row.case.key, *values, *more))
+    return csv_text(header, body)
 
 
 def as_json(e: Evidence) -> dict[str, Any]:
     """One object: the promises, the paper's numbers, the sentences, every run, the conditions."""
     return {
         "bars": {
-            bar.key: {"text": bar.text, "value": finite(bar.value), "limit": bar.limit,
+            bar.key: {"text": bar.figure, "value": finite(bar.value),
+                      "limit": bar.limit and bar.limit.bound,
                       "unit": bar.unit, "ok": bar.ok}
             for bar in findings.bars(e)
         },
@@ -413,14 +378,8 @@ def as_json(e: Evidence) -> dict[str, Any]:
             name: {"by_hand": dict(values), "used": e.equipment.weights(name)}
             for name, values in e.equipment.by_hand.items()
         },
-        "record": {
-            "quick": e.quick, "jobs": e.jobs, "anew": list(e.anew), "seconds": e.seconds,
-            "kept": e.kept, "tuned_on": list(e.tuned_on), "machine": machine(),
-            "versions": versions(), "commit": commit(),
-        },
+        "record": record(
+            quick=e.quick, jobs=e.jobs, anew=list(e.anew), seconds=e.seconds, kept=e.kept,
+            tuned_on=list(e.tuned_on),
+        ),
     }  # fmt: skip
-
-
-def finite(value: Value) -> Value:
-    """A value that JSON has: None for what is not finite."""
-    return None if isinstance(value, float) and not np.isfinite(value) else value

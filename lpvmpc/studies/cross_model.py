@@ -16,12 +16,13 @@ from lpvmpc.car.axle import Axle, axles, lateral_force
 from lpvmpc.car.bicycle import Bicycle
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.interface import Command
+from lpvmpc.kit.findings import Limit, Table
 from lpvmpc.plant.mjcf import tires
 from lpvmpc.plant.plant import Plant
 from lpvmpc.studies import plots
 from lpvmpc.studies.reference import multibody
 from lpvmpc.studies.reference.multibody import SPEED
-from lpvmpc.studies.study import CarUnderTest, Limit, Picture, Series, StudyResult, Table
+from lpvmpc.studies.study import CarUnderTest, Picture, Series, StudyResult
 from lpvmpc.units import Array
 
 if TYPE_CHECKING:

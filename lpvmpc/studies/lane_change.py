@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lpvmpc.car.params import VehicleParams
+from lpvmpc.kit.findings import Limit, Table
 from lpvmpc.road import cones
 from lpvmpc.road.cones import Course
 from lpvmpc.road.path import Path
@@ -20,7 +21,7 @@ from lpvmpc.sim.names import load_controller
 from lpvmpc.studies import plots
 from lpvmpc.studies.parts import gates
 from lpvmpc.studies.parts.gates import FlatPath, Outline
-from lpvmpc.studies.study import CarUnderTest, Limit, Picture, Series, StudyResult, Table
+from lpvmpc.studies.study import CarUnderTest, Picture, Series, StudyResult
 from lpvmpc.units import GRAVITY, Array
 
 if TYPE_CHECKING:

@@ -9,10 +9,11 @@ import numpy as np
 
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.interface import Command
+from lpvmpc.kit.findings import Limit, Table
 from lpvmpc.studies import plots
 from lpvmpc.studies.parts import rollover
 from lpvmpc.studies.parts.rollover import Springs
-from lpvmpc.studies.study import CarUnderTest, Limit, Picture, StudyResult, Table
+from lpvmpc.studies.study import CarUnderTest, Picture, StudyResult
 from lpvmpc.units import GRAVITY, Array
 
 if TYPE_CHECKING:

@@ -12,6 +12,7 @@ import numpy as np
 
 from lpvmpc.car import magic_formula as mf
 from lpvmpc.interface import Command
+from lpvmpc.kit.findings import Limit, Table
 from lpvmpc.plant.plant import Plant
 from lpvmpc.plant.rollout import Snapshot
 from lpvmpc.sim.loop import simulate
@@ -19,7 +20,7 @@ from lpvmpc.sim.names import load_controller, load_scenario
 from lpvmpc.studies import plots
 from lpvmpc.studies.parts import chatter, energy
 from lpvmpc.studies.parts.chatter import CHATTER, DEFAULT
-from lpvmpc.studies.study import CarUnderTest, Limit, Picture, Series, StudyResult, Table
+from lpvmpc.studies.study import CarUnderTest, Picture, Series, StudyResult
 from lpvmpc.units import Array
 
 if TYPE_CHECKING:

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import math
 import textwrap
 from collections.abc import Sequence
-from datetime import date
 from typing import Any
 
+from lpvmpc.kit.findings import number_text
 from lpvmpc.kit.markdown import markdown_table
-from lpvmpc.kit.provenance import commit, machine, versions
-from lpvmpc.studies.runner import cell, cells
-from lpvmpc.studies.study import TARGET, Finding, StudyResult
+from lpvmpc.kit.provenance import machine
+from lpvmpc.kit.report import csv_text, finite, versions_line
+from lpvmpc.studies.study import TARGET, StudyFinding, StudyResult
 
 FOREWORD = """\
 How far can this car be trusted? No measurement of a real car stands behind what follows. It is
@@ -46,9 +43,9 @@ def table(results: Sequence[StudyResult]) -> str:
     return "\n".join(lines)
 
 
-def _row(f: Finding) -> str:
+def _row(f: StudyFinding) -> str:
     verdict = "ok" if f.ok else "FAIL"
-    text = f" {f.figure:<38} {cell(f.value):>9} {f.unit:<8}"
+    text = f" {f.figure:<38} {number_text(f.value):>9} {f.unit:<8}"
     line = f"{text} {f.limit.text:<16} {verdict}"
     if len(line) <= 80:
         return line
@@ -64,17 +61,15 @@ def markdown(results: Sequence[StudyResult], folder: str, how: str, broken: str 
         how: The command that made it.
         broken: Name of the broken car that was studied, or None.
     """
-    used = ", ".join(f"{name} {number}" for name, number in versions().items())
     lines = ["# Fidelity of the simulated car", ""]
     if broken is not None:
         lines += [f"**This is not the packaged car, but one broken on purpose: {broken}.**", ""]
     lines += [
         FOREWORD,
         textwrap.fill(
-            f"Machine: {machine()}. Versions: {used}; commit {commit() or 'unknown'}; "
-            f"{date.today().isoformat()}. No study draws random numbers. Made by `{how}`; "
-            f"pictures, tables and curves (CSV) are in `{folder}/`, all figures in "
-            f"`{folder}.csv`.",
+            f"Machine: {machine()}. {versions_line()} No study draws random numbers. "
+            f"Made by `{how}`; pictures, tables and curves (CSV) are in `{folder}/`, all figures "
+            f"in `{folder}.csv`.",
             100,
             break_long_words=False,
             break_on_hyphens=False,
@@ -103,7 +98,7 @@ def markdown(results: Sequence[StudyResult], folder: str, how: str, broken: str 
 def summary(results: Sequence[StudyResult]) -> str:
     """One row for each study."""
     rows = [
-        (r.title, len(r.findings), sum(f.ok for f in r.findings), f"{r.seconds:.0f} s")
+        (r.title, len(r.findings), sum(f.ok is True for f in r.findings), f"{r.seconds:.0f} s")
         for r in results
     ]
     return markdown_table("Studies", ("study", "figures", "inside limits", "CPU time"), rows)
@@ -115,24 +110,24 @@ def _section(result: StudyResult, folder: str) -> list[str]:
         lines += [_findings(f"Figures and limits: {result.study}", result.findings)]
         lines += [_reasons(result.findings), ""]
     for data in result.tables:
-        lines += [markdown_table(data.caption, data.header, cells(data))]
+        lines += [markdown_table(data.caption, data.header, data.cells())]
     for picture in result.pictures:
         lines += [f"![{picture.caption}]({folder}/{result.study}-{picture.name}.png)", ""]
         lines += [f"*{picture.caption}*", ""]
     return lines
 
 
-def _findings(title: str, findings: Sequence[Finding], study: bool = False) -> str:
+def _findings(title: str, findings: Sequence[StudyFinding], study: bool = False) -> str:
     header = ["figure", "value", "unit", "limit", "verdict"] + ["study"] * study
     rows = [
-        [f.figure, cell(f.value), f.unit, f.limit.text, "ok" if f.ok else "**FAILED**"]
+        [f.figure, number_text(f.value), f.unit, f.limit.text, "ok" if f.ok else "**FAILED**"]
         + [f.study] * study
         for f in findings
     ]
     return markdown_table(title, header, rows)
 
 
-def _reasons(findings: Sequence[Finding]) -> str:
+def _reasons(findings: Sequence[StudyFinding]) -> str:
     """Why the limits are what they are, figures with the same reason together."""
     reasons: dict[str, list[str]] = {}
     for finding in findings:
@@ -147,20 +142,14 @@ def _reasons(findings: Sequence[Finding]) -> str:
 
 def as_csv(results: Sequence[StudyResult]) -> str:
     """All figures, one line each."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(("study", "figure", "value", "unit", "limit", "ok", "why"))
-    for f in (finding for result in results for finding in result.findings):
-        writer.writerow((f.study, f.figure, cell(f.value, 7), f.unit, f.limit.text, f.ok, f.why))
-    return text.getvalue()
+    header = ("study", "figure", "value", "unit", "limit", "ok", "why")
+    found = [finding for result in results for finding in result.findings]
+    rows = ((f.study, f.figure, f.value, f.unit, f.limit.text, f.ok, f.why) for f in found)
+    return csv_text(header, rows, digits=7)
 
 
 def as_json(results: Sequence[StudyResult]) -> list[dict[str, Any]]:
     """All figures: study, figure, value, limit, ok, and more; what is not finite is null."""
-
-    def finite(x: float) -> float | None:
-        return x if math.isfinite(x) else None
-
     return [
         {
             "study": f.study,

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import csv
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from lpvmpc.errors import LPVMPCError, OutputError
-from lpvmpc.kit.files import into, write_picture
+from lpvmpc.kit.files import into, write_picture, write_text
+from lpvmpc.kit.findings import Limit, number_text
+from lpvmpc.kit.report import csv_text
 from lpvmpc.kit.workers import workers
-from lpvmpc.studies.study import CarUnderTest, Limit, StudyResult, Table, load_study
+from lpvmpc.studies.study import CarUnderTest, StudyResult, load_study
 
 Progress = Callable[[StudyResult], None]
 
@@ -97,29 +97,10 @@ def save(result: StudyResult, folder: Path) -> None:
                 file = folder / f"{result.study}-{picture.name}.png"
                 write_picture(file, picture.figure, DPI)
         for table in result.tables:
-            _write_csv(folder / f"{result.study}-{table.name}.csv", table.header, cells(table))
+            file = folder / f"{result.study}-{table.name}.csv"
+            write_text(file, csv_text(table.header, table.cells()))
         for series in result.series:
             columns = [np.asarray(column) for column in series.columns.values()]
-            rows = [[cell(x, 7) for x in row] for row in zip(*columns, strict=True)]
-            _write_csv(folder / f"{result.study}-{series.name}.csv", list(series.columns), rows)
-
-
-def cell(value: object, digits: int = 4) -> str:
-    """A cell of a table as text: numbers with so many significant digits."""
-    if isinstance(value, bool | np.bool_):
-        return "yes" if value else "no"
-    if isinstance(value, float | np.floating):
-        return f"{value:.{digits}g}"
-    return str(value)
-
-
-def cells(table: Table) -> list[list[str]]:
-    """All cells of a table as text."""
-    return [[cell(value) for value in row] for row in table.rows]
-
-
-def _write_csv(file: Path, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
-    with file.open("w", newline="") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows(rows)
+            rows = ([number_text(x, 7) for x in row] for row in zip(*columns, strict=True))
+            file = folder / f"{result.study}-{series.name}.csv"
+            write_text(file, csv_text(list(series.columns), rows))

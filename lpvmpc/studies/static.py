@@ -9,18 +9,11 @@ from typing import Any
 import numpy as np
 
 from lpvmpc.interface import Command
+from lpvmpc.kit.findings import Limit, Table
 from lpvmpc.plant.plant import Plant
 from lpvmpc.studies import plots
 from lpvmpc.studies.reference import suspension
-from lpvmpc.studies.study import (
-    CarUnderTest,
-    Limit,
-    Picture,
-    Series,
-    StudyResult,
-    Table,
-    relative_error,
-)
+from lpvmpc.studies.study import CarUnderTest, Picture, Series, StudyResult, relative_error
 from lpvmpc.units import GRAVITY, Array
 
 METHOD = """\

@@ -11,9 +11,10 @@ import numpy as np
 
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.errors import OptionError
+from lpvmpc.kit.findings import Limit, Table
 from lpvmpc.plant.plant import Plant
 from lpvmpc.studies import plots
-from lpvmpc.studies.study import TARGET, CarUnderTest, Limit, Picture, Series, StudyResult, Table
+from lpvmpc.studies.study import TARGET, CarUnderTest, Picture, Series, StudyResult
 from lpvmpc.units import GRAVITY, Array
 
 METHOD = """\

@@ -10,9 +10,10 @@ import numpy as np
 
 from lpvmpc.car import magic_formula as mf
 from lpvmpc.interface import Command
+from lpvmpc.kit.findings import Limit, Table
 from lpvmpc.plant.plant import Plant
 from lpvmpc.studies import plots
-from lpvmpc.studies.study import CarUnderTest, Limit, Picture, Series, StudyResult, Table
+from lpvmpc.studies.study import CarUnderTest, Picture, Series, StudyResult
 from lpvmpc.units import GRAVITY, Array
 
 METHOD = """\

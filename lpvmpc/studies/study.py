@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import copy
 import importlib
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +19,7 @@ import numpy.typing as npt
 
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.errors import UnknownNameError
+from lpvmpc.kit.findings import Finding, Limit, Table
 from lpvmpc.plant.mjcf import compile_model, parameters, tires
 from lpvmpc.plant.plant import Plant
 from lpvmpc.studies.names import STUDIES
@@ -32,70 +32,16 @@ TARGET = "handling target"
 """Reason of a limit that is a handling target of models/README.md as it stands."""
 
 
-@dataclass(frozen=True)
-class Limit:
-    """What a figure must be: an interval, both ends allowed. A value that is NaN never passes."""
-
-    low: float
-    """Smallest allowed value, -inf for none."""
-    high: float
-    """Largest allowed value, inf for none."""
-    text: str
-    """The interval as it is printed."""
-
-    def __post_init__(self) -> None:
-        """An empty interval is our own mistake."""
-        assert self.low <= self.high, self
-
-    def allows(self, value: float) -> bool:
-        """Whether the value lies inside."""
-        return bool(self.low <= value <= self.high)
-
-    @classmethod
-    def at_most(cls, high: float) -> Limit:
-        """No more than this."""
-        return cls(-math.inf, float(high), f"<= {high:.4g}")
-
-    @classmethod
-    def at_least(cls, low: float) -> Limit:
-        """No less than this."""
-        return cls(float(low), math.inf, f">= {low:.4g}")
-
-    @classmethod
-    def between(cls, low: float, high: float) -> Limit:
-        """An interval."""
-        return cls(float(low), float(high), f"{low:.4g} to {high:.4g}")
-
-    @classmethod
-    def near(cls, expected: float, tolerance: float) -> Limit:
-        """An expected value, and how far off it may be, in its unit."""
-        text = f"{expected:.4g} +- {tolerance:.3g}"
-        return cls(float(expected - tolerance), float(expected + tolerance), text)
-
-    @classmethod
-    def percent(cls, expected: float, percent: float) -> Limit:
-        """An expected value, and how far off it may be, in percent of it."""
-        off = abs(expected) * percent / 100.0
-        text = f"{expected:.4g} +- {percent:g} %"
-        return cls(float(expected - off), float(expected + off), text)
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One measured figure with its limit; the verdict follows from the two."""
+@dataclass(frozen=True, kw_only=True)
+class StudyFinding(Finding):
+    """A figure of a study; its text has at most 38 characters, its unit 8: 80 columns in all."""
 
     study: str
     """Name of the study, as on the command line."""
-    figure: str
-    """What was measured, in at most 38 characters: the table is printed at 80 columns."""
     value: float
     """The measured value."""
-    unit: str
-    """Its unit; empty for a pure number."""
     limit: Limit
     """What it must be."""
-    why: str
-    """Where the limit comes from, in one line; never from the result."""
     target: bool = False
     """Whether it is one of the handling targets of models/README.md."""
 
@@ -103,25 +49,6 @@ class Finding:
         """What does not fit the table is our own mistake."""
         assert len(self.figure) <= 38 and "|" not in self.figure, self.figure
         assert len(self.unit) <= 8, self.unit
-
-    @property
-    def ok(self) -> bool:
-        """The verdict."""
-        return self.limit.allows(self.value)
-
-
-@dataclass(frozen=True)
-class Table:
-    """Numbers for the report, written as Markdown and as CSV."""
-
-    name: str
-    """Part of the file name, in lower case with hyphens."""
-    caption: str
-    """One line above the table."""
-    header: Sequence[str]
-    """Names of the columns with their units."""
-    rows: Sequence[Sequence[object]]
-    """Cells; numbers are printed with four digits."""
 
 
 @dataclass(frozen=True)
@@ -154,7 +81,7 @@ class StudyResult:
     """Name of the study, as on the command line."""
     method: str = ""
     """Definitions, sources and limits of validity, in Markdown."""
-    findings: list[Finding] = field(default_factory=list)
+    findings: list[StudyFinding] = field(default_factory=list)
     """Figures with limits and verdicts."""
     tables: list[Table] = field(default_factory=list)
     """Further numbers, without verdict."""
@@ -188,7 +115,15 @@ class StudyResult:
             why: Where the limit comes from.
             target: Whether it is one of the handling targets of models/README.md.
         """
-        finding = Finding(self.study, figure, float(value), unit, limit, why, target)
+        finding = StudyFinding(
+            study=self.study,
+            figure=figure,
+            value=float(value),
+            unit=unit,
+            limit=limit,
+            why=why,
+            target=target,
+        )
         self.findings.append(finding)
 
 

@@ -9,11 +9,12 @@ import mujoco
 import numpy as np
 
 from lpvmpc.car import magic_formula as mf
+from lpvmpc.kit.findings import Limit, Table
 from lpvmpc.plant.plant import Plant
 from lpvmpc.plant.rollout import SPIN_QVEL
 from lpvmpc.studies import plots
 from lpvmpc.studies.reference import golden_tire
-from lpvmpc.studies.study import TARGET, CarUnderTest, Limit, Picture, Series, StudyResult, Table
+from lpvmpc.studies.study import TARGET, CarUnderTest, Picture, Series, StudyResult
 from lpvmpc.units import GRAVITY, Array
 
 METHOD = """\

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lpvmpc.interface import Command
+from lpvmpc.kit.findings import Limit, Table
 from lpvmpc.plant.plant import Plant
 from lpvmpc.studies import plots
 from lpvmpc.studies.reference.lateral_model import (
@@ -20,7 +21,7 @@ from lpvmpc.studies.reference.lateral_model import (
 )
 from lpvmpc.studies.reference.lateral_model import response as linear_response
 from lpvmpc.studies.steady_state import Linear
-from lpvmpc.studies.study import TARGET, CarUnderTest, Limit, Picture, Series, StudyResult, Table
+from lpvmpc.studies.study import TARGET, CarUnderTest, Picture, Series, StudyResult
 from lpvmpc.units import Array
 
 METHOD = """\

@@ -19,6 +19,7 @@ from lpvmpc.car.aero import aero_wrench
 from lpvmpc.car.bicycle import Bicycle
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.interface import Command
+from lpvmpc.kit.findings import Limit, Table
 from lpvmpc.road.path import Path
 from lpvmpc.road.scenario import Scenario
 from lpvmpc.road.speed_profile import SpeedProfile
@@ -26,15 +27,7 @@ from lpvmpc.road.wind import Wind
 from lpvmpc.sim.loop import simulate
 from lpvmpc.sim.names import load_controller
 from lpvmpc.studies import plots
-from lpvmpc.studies.study import (
-    CarUnderTest,
-    Limit,
-    Picture,
-    Series,
-    StudyResult,
-    Table,
-    relative_error,
-)
+from lpvmpc.studies.study import CarUnderTest, Picture, Series, StudyResult, relative_error
 from lpvmpc.units import Array
 
 if TYPE_CHECKING:

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import csv
-import io
-from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lpvmpc.kit.files import write_json, write_picture, write_text
 from lpvmpc.kit.markdown import markdown_table
-from lpvmpc.kit.provenance import commit, machine, versions
+from lpvmpc.kit.provenance import machine
+from lpvmpc.kit.report import csv_text, record, versions_line, write_report
 from lpvmpc.tune.sphere import (
     BAR,
     LOWER,
@@ -37,7 +34,6 @@ EVERY = 10
 
 def report(study: Study) -> str:
     """The report in Markdown."""
-    used = ", ".join(f"{name} {number}" for name, number in versions().items())
     s, seeds = study.settings, study.selections[0].seeds
     mixed = float(np.median(study.of("mixed").final))
     rows = [
@@ -58,7 +54,7 @@ def report(study: Study) -> str:
         "# Genetic algorithm on the sphere function",
         "",
         f"Machine: {machine()}.",
-        f"Versions: {used}; commit {commit() or 'unknown'}; {date.today().isoformat()}.",
+        versions_line(),
         f"Seeds {seeds[0]} to {seeds[-1]}, one run each.",
         "",
         "Definitions: the cost is x1^2 + ... + x5^2 within the bounds of the authors' code, "
@@ -109,18 +105,15 @@ def report(study: Study) -> str:
 
 def as_csv(study: Study) -> str:
     """One line per run, with its distance every few generations."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
     last = study.settings.generations
     told = sorted({*range(0, last, EVERY), last})
     header = ("part", "selection", "crossover", "seed", *(f"distance_{g}" for g in told))
-    writer.writerow(header)
+    body = []
     for part, several in (("selection", study.selections), ("crossover", study.crossovers)):
         for runs in several:
             for seed, row in zip(runs.seeds, runs.distances[:, told], strict=True):
-                numbers = (f"{distance:.6g}" for distance in row)
-                writer.writerow((part, runs.selection, runs.crossover, seed, *numbers))
-    return text.getvalue()
+                body.append((part, runs.selection, runs.crossover, seed, *row))
+    return csv_text(header, body)
 
 
 def as_json(study: Study) -> dict[str, Any]:
@@ -137,13 +130,9 @@ def as_json(study: Study) -> dict[str, Any]:
         "comparisons": [vars(c) for c in compare(study)],
         "verdict": verdict(study),
         "bars": {"mixed_median": {"limit": BAR, "ok": mixed <= BAR}},
-        "record": {
-            "seeds": list(study.selections[0].seeds),
-            "settings": vars(study.settings),
-            "machine": machine(),
-            "versions": versions(),
-            "commit": commit(),
-        },
+        "record": record(
+            seeds=list(study.selections[0].seeds), settings=vars(study.settings)
+        ),
     }
 
 
@@ -189,15 +178,17 @@ def save(study: Study, folder: Path) -> list[Path]:
     Raises:
         OutputError: One of them cannot be written.
     """
-    from lpvmpc.picture.figures import DPI
+    from lpvmpc.picture.style import DPI
 
-    kinds = ("md", "csv", "json", "png")
-    md, table, values, picture = (folder / f"sphere.{kind}" for kind in kinds)
-    write_text(md, report(study))
-    write_text(table, as_csv(study))
-    write_picture(picture, draw(study), DPI)
-    write_json(values, as_json(study))
-    return [md, table, values, picture]
+    return write_report(
+        folder,
+        "sphere",
+        text=report(study),
+        table=as_csv(study),
+        values=as_json(study),
+        picture=draw(study),
+        dpi=DPI,
+    )
 
 
 def _spread(distances: Array) -> tuple[str, str, str]:

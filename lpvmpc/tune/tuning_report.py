@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 from datetime import date
 from pathlib import Path
@@ -13,6 +11,7 @@ from lpvmpc.control.weights_file import write_weights
 from lpvmpc.kit.files import write_json, write_picture, write_text
 from lpvmpc.kit.markdown import markdown_table
 from lpvmpc.kit.provenance import commit, machine, versions
+from lpvmpc.kit.report import csv_text, record
 from lpvmpc.tune import tuning
 from lpvmpc.tune.checkpoint import Result
 from lpvmpc.tune.tuning import Stage, Tuned
@@ -129,22 +128,21 @@ def as_json(
         "before": list(before),
         "after": list(after),
         "task": tuned.task.record(),
-        "record": {"machine": machine(), "versions": versions(), "commit": commit()},
+        "record": record(),
     }
 
 
 def as_csv(tuned: Tuned) -> str:
     """Each generation with its best weights."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(("search", "generation", "best", "mean", "worst", *tuned.weights))
+    header = ("search", "generation", "best", "mean", "worst", *tuned.weights)
+    body = []
     for stage, result in _searches(tuned):
         for number, generation in enumerate(result.history):
             best = stage.space.weights(generation.individual)
-            cells = [f"{best[name]:.6g}" if name in best else "" for name in tuned.weights]
+            cells = (best.get(name) for name in tuned.weights)
             costs = (f"{c:.9g}" for c in (generation.best, generation.mean, generation.worst))
-            writer.writerow((stage.method, number, *costs, *cells))
-    return text.getvalue()
+            body.append((stage.method, number, *costs, *cells))
+    return csv_text(header, body)
 
 
 def draw(tuned: Tuned) -> Figure:

@@ -13,9 +13,10 @@ import numpy as np
 from lpvmpc.car import magic_formula as mf
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.interface import Command
+from lpvmpc.kit.findings import Limit, Table
 from lpvmpc.plant.rollout import DRIVE, SPIN_QVEL, Snapshot
 from lpvmpc.studies import plots
-from lpvmpc.studies.study import CarUnderTest, Limit, Picture, StudyResult, Table
+from lpvmpc.studies.study import CarUnderTest, Picture, StudyResult
 from lpvmpc.units import GRAVITY, Array
 
 if TYPE_CHECKING:

@@ -12,8 +12,9 @@ import numpy as np
 from lpvmpc.car import magic_formula as mf
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.interface import Command
+from lpvmpc.kit.findings import Limit
 from lpvmpc.studies import plots
-from lpvmpc.studies.study import CarUnderTest, Limit, Series, StudyResult
+from lpvmpc.studies.study import CarUnderTest, Series, StudyResult
 from lpvmpc.units import GRAVITY, Array
 
 if TYPE_CHECKING:

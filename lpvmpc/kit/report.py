@@ -1,0 +1,92 @@
+"""Reports as they are written: Markdown to read, CSV and JSON with every number, one picture."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterable, Sequence
+from datetime import date
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lpvmpc.kit.files import write_json, write_picture, write_text
+from lpvmpc.kit.provenance import commit, machine, versions
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def write_report(
+    folder: Path,
+    name: str,
+    *,
+    text: str,
+    table: str,
+    values: object = None,
+    copy: Path | None = None,
+    picture: Figure | None = None,
+    dpi: int = 200,
+) -> list[Path]:
+    """Write NAME.md, NAME.csv and, where they are given, NAME.json and NAME.png.
+
+    Args:
+        folder: Where they go; it must be there.
+        name: Name of the files, without a suffix.
+        text: The report.
+        table: Every number, as `csv_text` gives it.
+        values: The same as a value for JSON.
+        copy: A second place for these values, with another name perhaps.
+        picture: The picture.
+        dpi: Its resolution [dots per inch].
+
+    Returns:
+        The files in the folder.
+
+    Raises:
+        OutputError: One of them cannot be written.
+    """
+    files = [folder / f"{name}.md", folder / f"{name}.csv"]
+    write_text(files[0], text)
+    write_text(files[1], table)
+    if values is not None:
+        files.append(folder / f"{name}.json")
+        for file in (files[-1], copy):
+            if file is not None:
+                write_json(file, values)
+    if picture is not None:
+        files.append(folder / f"{name}.png")
+        write_picture(files[-1], picture, dpi)
+    return files
+
+
+def csv_text(header: Sequence[str], rows: Iterable[Iterable[object]], digits: int = 6) -> str:
+    """Rows as CSV: numbers with so many significant digits, nothing for None.
+
+    Args:
+        header: Names of the columns, with their units.
+        rows: Cells, each row as long as the header.
+        digits: Significant digits of numbers that are not whole; text stays as it is.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    for row in rows:
+        writer.writerow(f"{x:.{digits}g}" if isinstance(x, float) else x for x in row)
+    return text.getvalue()
+
+
+def versions_line() -> str:
+    """Versions, commit and day, in one line."""
+    used = ", ".join(f"{name} {number}" for name, number in versions().items())
+    return f"Versions: {used}; commit {commit() or 'unknown'}; {date.today().isoformat()}."
+
+
+def record(**more: Any) -> dict[str, Any]:
+    """Under which conditions numbers were made, for JSON: machine, versions, commit, and more."""
+    return {**more, "machine": machine(), "versions": versions(), "commit": commit()}
+
+
+def finite(value: Any) -> Any:
+    """A value that JSON has: None for a number that is not finite."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
