@@ -35,8 +35,9 @@ Definitions:
 - Every cell is one closed loop on the MuJoCo car, which begins trimmed on the road at its first \
 speed: true state without noise or delay, control every 33 ms. Errors are those of the true centre \
 of mass to the path, at every control instant from the first; RMSE is over all of them.
-- A run is lost when the car is more than 5 m off the path, turned by more than 90 degrees, rolled \
-over, stuck, or needs twice the reference's time; tables say where. In means and ratios a lost run \
+- A run is lost when the car is more than 5 m off the path (on a road that states its widths also \
+2 m beyond its edge), turned by more than 90 degrees, rolled over, stuck, or needs twice the \
+reference's time; tables say where. In means and ratios a lost run \
 is charged 5 m as its RMSE and as its largest error.
 - The share of the grip, in percent, is the lateral acceleration that the speed is planned for, \
 over the car's steady limit times the announced friction.

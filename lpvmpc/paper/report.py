@@ -34,8 +34,9 @@ reference.
 "wind / 3" is the strength in the authors' code, a ninth of the force. `paper-loop` has the shape \
 of the paper's Fig. 8 and its wind; the other roads have none. `circuit 87 %` is driven with 87 % \
 of the car's steady lateral limit.
-- A run is lost when the car is more than 5 m off the path, turned by more than 90 degrees, rolled \
-over, stuck, or needs twice the reference's time; tables say where. In means and ratios a lost run \
+- A run is lost when the car is more than 5 m off the path (on a road that states its widths also \
+2 m beyond its edge), turned by more than 90 degrees, rolled over, stuck, or needs twice the \
+reference's time; tables say where. In means and ratios a lost run \
 is charged 5 m as its RMSE.
 - `lpv-mpc` is our controller; `lpv-mpc-paper` the paper's plain formulation on the corrected \
 matrices, with constant stiffness; `lpv-mpc-paper + network` the same with the stiffness that the \
