@@ -5,24 +5,9 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from lpvmpc.car import bicycle
-from lpvmpc.car.bicycle import (
-    AF,
-    AR,
-    CORRECTED,
-    DELTA,
-    EPSI,
-    EULER,
-    EXACT,
-    EY,
-    NU,
-    NX,
-    PRINTED,
-    VX,
-    VY,
-    A,
-    R,
-)
+from lpvmpc.car import bicycle, hold
+from lpvmpc.car.bicycle import AF, AR, CORRECTED, DELTA, EPSI, EY, NU, NX, PRINTED, VX, VY, A, R
+from lpvmpc.car.hold import EULER, EXACT
 from lpvmpc.plant.mjcf import packaged_car
 
 
@@ -120,7 +105,7 @@ def test_exact_hold_is_the_matrix_exponential(car, Ts):
         block = np.zeros((NX + NU + 1, NX + NU + 1))
         block[:NX, :NX], block[:NX, NX:-1], block[:NX, -1] = A, B, c
         reference = expm(block * Ts)
-        Ad, Bd, cd = bicycle.discretise(A, B, c, Ts)
+        Ad, Bd, cd = hold.discretise(A, B, c, Ts)
         # the series is truncated at 1e-6 of the result (docstring)
         for ours, theirs in (
             (Ad, reference[:NX, :NX]),
@@ -137,7 +122,7 @@ def test_exact_hold_is_stable_at_walking_speed_where_euler_is_not(car):
     radius = {}
     for method in (EXACT, EULER):
         Ad = np.empty((NX, NX))
-        bicycle.hold(A, np.zeros((NX, NU + 1)), 0.033, method, Ad, np.empty((NX, NU + 1)))
+        hold.hold(A, np.zeros((NX, NU + 1)), 0.033, method, Ad, np.empty((NX, NU + 1)))
         lateral = Ad[1:3, 1:3]
         radius[method] = np.abs(np.linalg.eigvals(lateral)).max()
     assert radius[EXACT] < 1.0 < radius[EULER]
@@ -147,7 +132,7 @@ def test_hold_predicts_the_nonlinear_model_over_one_period(car):
     x = np.array([15.0, 0.1, 0.2, 0.05, 0.01, 0.04, 0.5, 0.02, 0.01, 0.02, 0.1])
     tires, u, kappa, Ts = np.array([1.2e5, 0.0, 2.0e5, 0.0]), np.array([0.05, 1.0]), 0.01, 0.033
     A, B, c = matrices(x, kappa, tires, car)
-    Ad, Bd, cd = bicycle.discretise(A, B, c, Ts)
+    Ad, Bd, cd = hold.discretise(A, B, c, Ts)
     exact = solve_ivp(
         lambda t, z: bicycle.derivative(z, u, kappa, tires, car), (0, Ts), x, rtol=1e-10
     ).y[:, -1]

@@ -8,8 +8,9 @@ from safetensors import numpy as numpy_files
 
 from lpvmpc.car import bicycle
 from lpvmpc.car.bicycle import AF, AR, DELTA, NX, PHI, VX, A, R
-from lpvmpc.control.stiffness import network
-from lpvmpc.control.stiffness.network import NetworkTire, load_weights, shipped
+from lpvmpc.control.stiffness import network, network_file
+from lpvmpc.control.stiffness.network import NetworkTire
+from lpvmpc.control.stiffness.network_file import load_weights, shipped
 from lpvmpc.control.stiffness.secant_network import SecantNetwork
 from lpvmpc.errors import DataError, LPVMPCError, OptionError
 from lpvmpc.kit import safetensors
@@ -282,7 +283,7 @@ def changed(tmp_path):
 def test_shipped_weights_are_of_the_packaged_car(kind):
     weights = load_weights(kind)
     warn_of_another_car(weights, compile_model(visual=False))  # a warning is an error here
-    facts = network.facts(weights)
+    facts = network_file.facts(weights)
     assert facts["kind"] == kind and len(facts["data_sha256"]) == 64
     assert facts["command"].startswith("python data_gen/train.py")
     assert facts["versions"]["mujoco"] and "seed" in facts

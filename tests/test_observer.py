@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from lpvmpc.car.bicycle import EY, NU, NX, Bicycle, discretise, lpv
+from lpvmpc.car.bicycle import EY, NU, NX, Bicycle, lpv
+from lpvmpc.car.hold import discretise
 from lpvmpc.control import disturbance
 from lpvmpc.plant.mjcf import packaged_car
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from lpvmpc.car.bicycle import CORRECTED, EPSI, EY, NU, NX, VX, Bicycle, discretise, lpv
+from lpvmpc.car.bicycle import CORRECTED, EPSI, EY, NU, NX, VX, Bicycle, lpv
+from lpvmpc.car.hold import discretise
 from lpvmpc.control.cost import NZ, SPEEDS, cost_to_go
 from lpvmpc.plant.mjcf import packaged_car
 

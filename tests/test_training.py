@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lpvmpc import learn
-from lpvmpc.control.stiffness import network
+from lpvmpc.control.stiffness import network, network_file
 from lpvmpc.errors import DataError, LPVMPCError, OptionError
 from lpvmpc.kit import safetensors
 from lpvmpc.learn import collect as collection
@@ -115,7 +115,7 @@ def test_the_papers_network_learns_too(data, car):
 def test_the_papers_preset_is_the_papers():
     how = training.PRESETS["paper"]
     assert (how.epochs, how.batch, how.rate, how.cycle) == (2500, 64, 5e-4, False)
-    assert network.SECANT_SIZES == (5, 16, 28, 16, 9, 2)
+    assert network_file.SECANT_SIZES == (5, 16, 28, 16, 9, 2)
 
 
 @pytest.mark.parametrize("name", ["default", "paper"])
@@ -231,8 +231,8 @@ def test_the_script_leaves_weights_and_a_report(run, file, tmp_path):
         "--data", file, "--out", "w/n.safetensors", "--epochs", 3, "--seeds", 2, "--also", file
     )
     assert (code, err) == (0, "")
-    weights = network.load_weights("network", tmp_path / "w" / "n.safetensors")
-    facts = network.facts(weights)
+    weights = network_file.load_weights("network", tmp_path / "w" / "n.safetensors")
+    facts = network_file.facts(weights)
     assert facts["data_sha256"] == dataset.file_sha256(file) and facts["seed"] == 0
     found = sorted(f.name for f in (tmp_path / "w" / "n-fit").iterdir())
     assert found == [

@@ -217,7 +217,7 @@ def warn_of_another_car(controller: Any, plant: Plant) -> None:
     kind = getattr(getattr(controller, "stiffness", None), "name", None)
     if kind not in ("network", "network-secant"):
         return
-    from lpvmpc.control.stiffness.network import load_weights
+    from lpvmpc.control.stiffness.network_file import load_weights
     from lpvmpc.sim.names import warn_of_another_car as check
 
     with warnings.catch_warnings(record=True) as caught:

@@ -107,7 +107,7 @@ def check_car(data: Dataset) -> Any:
 
 def facts(options: Options, kind: str, data: Dataset, rows: list[dict[str, Any]]) -> dict[str, str]:
     """What the weights file says about itself."""
-    from lpvmpc.control.stiffness.network import FORMAT
+    from lpvmpc.control.stiffness.network_file import FORMAT
     from lpvmpc.kit.provenance import versions
 
     kept = {row["set"]: [round(row["C_f"], 4), round(row["C_r"], 4)] for row in rows[:2]}

@@ -17,21 +17,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numba import njit
 
-from lpvmpc.car.bicycle import (
-    AF,
-    AR,
-    CORRECTED,
-    DELTA,
-    NU,
-    NX,
-    PHI,
-    VX,
-    A,
-    Bicycle,
-    P,
-    discretise,
-    lpv,
-)
+from lpvmpc.car.bicycle import AF, AR, CORRECTED, DELTA, NU, NX, PHI, VX, A, Bicycle, P, lpv
+from lpvmpc.car.hold import discretise
 from lpvmpc.control.formulation import DELTA_MAX_PAPER, EY_MAX
 from lpvmpc.errors import OptionError
 from lpvmpc.units import Array

@@ -18,8 +18,6 @@ from lpvmpc.car.bicycle import (
     AR,
     CORRECTED,
     DELTA,
-    EULER,
-    EXACT,
     EY,
     NU,
     NX,
@@ -33,6 +31,7 @@ from lpvmpc.car.bicycle import (
     derivative,
     slip_angles,
 )
+from lpvmpc.car.hold import EULER, EXACT
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.control.cost import (
     NZ,

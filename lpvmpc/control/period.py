@@ -15,20 +15,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from lpvmpc.car.bicycle import (
-    DELTA,
-    EULER,
-    NU,
-    NX,
-    VX,
-    VY,
-    A,
-    R,
-    hold,
-    lpv,
-    steady_state,
-    unpack,
-)
+from lpvmpc.car.bicycle import DELTA, NU, NX, VX, VY, A, R, lpv, steady_state, unpack
+from lpvmpc.car.hold import EULER, hold
 from lpvmpc.control.cost import terminal_weight
 from lpvmpc.control.disturbance import LIMIT, update
 from lpvmpc.control.qp import condense

@@ -116,7 +116,7 @@ def make_stiffness(
     if "tires" in inspect.signature(maker).parameters:
         more.append(tires())
     if file is not None:
-        from lpvmpc.control.stiffness.network import load_weights
+        from lpvmpc.control.stiffness.network_file import load_weights
 
         more.append(load_weights(name, file))
     model: StiffnessModel = maker(car, *more)

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lpvmpc.car.params import VehicleParams
-from lpvmpc.control.stiffness import network
+from lpvmpc.control.stiffness import network, network_file
 from lpvmpc.control.stiffness.secant_network import SecantNetwork
 from lpvmpc.kit.files import write_picture, write_text
 from lpvmpc.kit.report import csv_text
@@ -43,10 +43,10 @@ class Prediction:
     """Local slope [N/rad], shape (n, 2), where the network gives it."""
 
 
-def predict(weights: network.Weights, data: Dataset, car: VehicleParams) -> Prediction:
+def predict(weights: network_file.Weights, data: Dataset, car: VehicleParams) -> Prediction:
     """The network's answers, by the code that the controller runs."""
     if weights.kind == "network-secant":
-        inputs = np.column_stack([data[name] for name in network.SECANT_INPUTS])
+        inputs = np.column_stack([data[name] for name in network_file.SECANT_INPUTS])
         return Prediction(SecantNetwork(car, weights).stiffness(inputs))
     samples, n = samples_of(data, car), len(data)
     Fy, slope, slope_zero = (np.empty((n, 2)) for _ in range(3))

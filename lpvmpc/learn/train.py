@@ -25,8 +25,8 @@ import torch
 from torch import Tensor
 
 from lpvmpc.car.params import VehicleParams
-from lpvmpc.control.stiffness import network
-from lpvmpc.control.stiffness.network import N_EVEN, SECANT_INPUTS, SECANT_SIZES
+from lpvmpc.control.stiffness import network, network_file
+from lpvmpc.control.stiffness.network_file import N_EVEN, SECANT_INPUTS, SECANT_SIZES
 from lpvmpc.errors import DataError, LPVMPCError, OptionError
 from lpvmpc.kit import safetensors
 from lpvmpc.learn.dataset import Dataset, samples_of
@@ -266,7 +266,7 @@ class Trained:
 
     names: list[tuple[int, Split]]
     """Seed and split of each network; the first is the one to keep."""
-    weights: list[network.Weights]
+    weights: list[network_file.Weights]
     """Each network, without metadata."""
     curve: Array
     """Epoch, loss on training and on held-out samples of the first network, shape (k, 3)."""
@@ -364,7 +364,9 @@ def train(
         if progress is not None:
             progress(state.epoch, float(mean[0]))
     found = state.parameters.detach().numpy().astype(np.float64)
-    weights = [network.Weights(how.kind, family.weights(i, row), {}) for i, row in enumerate(found)]
+    weights = [
+        network_file.Weights(how.kind, family.weights(i, row), {}) for i, row in enumerate(found)
+    ]
     return Trained(names, weights, np.array(state.curve))
 
 

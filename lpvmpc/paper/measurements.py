@@ -11,7 +11,7 @@ import numpy as np
 
 from lpvmpc.bench.cases import Measured
 from lpvmpc.car.tire import forces
-from lpvmpc.control.stiffness.network import SECANT_INPUTS, load_weights
+from lpvmpc.control.stiffness.network_file import SECANT_INPUTS, load_weights
 from lpvmpc.learn.dataset import secant_stiffness
 from lpvmpc.learn.scores import r2
 from lpvmpc.paper import records, runs, steering_at_rest

@@ -137,14 +137,14 @@ def _trained(
     out: Path, preset: str, epochs: int | None, data: Any, also: Any, car: Any, say: Say
 ) -> Path:
     """A network trained on the data, with its fit."""
-    from lpvmpc.control.stiffness import network
+    from lpvmpc.control.stiffness import network_file
     from lpvmpc.kit import safetensors
     from lpvmpc.kit.provenance import versions
     from lpvmpc.learn import scores, train
 
     how = train.preset(preset, epochs)
     facts = {
-        "format": network.FORMAT,
+        "format": network_file.FORMAT,
         "kind": how.kind,
         "seed": "0",
         "command": "python eval/reproduce.py --retrain",

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from lpvmpc.car.params import VehicleParams
     from lpvmpc.car.tire import Tire
-    from lpvmpc.control.stiffness.network import Weights
+    from lpvmpc.control.stiffness.network_file import Weights
     from lpvmpc.sensing.sensors import Sensing
 
 ESTIMATORS = ("ekf", "none")

@@ -21,7 +21,7 @@ from lpvmpc.interface import AxleForces, State
 from lpvmpc.units import Array
 
 if TYPE_CHECKING:
-    from lpvmpc.control.stiffness.network import Weights as NetworkWeights
+    from lpvmpc.control.stiffness.network_file import Weights as NetworkWeights
 
 C_MIN = 0.05
 """Smallest slope of an axle's force as a fraction of the nominal one: past the tire's peak the

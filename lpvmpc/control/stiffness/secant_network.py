@@ -11,14 +11,8 @@ from numba import njit
 from lpvmpc.car import bicycle
 from lpvmpc.car.bicycle import DELTA, VX, VY, A, R
 from lpvmpc.car.params import VehicleParams
-from lpvmpc.control.stiffness.network import (
-    SECANT_SIZES,
-    SLOPE_MAX,
-    SLOPE_MIN,
-    Weights,
-    load_weights,
-    longitudinal,
-)
+from lpvmpc.control.stiffness.network import SLOPE_MAX, SLOPE_MIN, longitudinal
+from lpvmpc.control.stiffness.network_file import SECANT_SIZES, Weights, load_weights
 from lpvmpc.errors import LPVMPCError, OptionError
 from lpvmpc.interface import State
 from lpvmpc.units import Array
