@@ -367,3 +367,35 @@ def test_a_dead_display_is_one_sentence(run, road, monkeypatch):
     code, out, err = run("--scenario", road, "--view", "--out", "here")
     assert code == 2 and err.count("\n") == 1
     assert "--view cannot open a window on this display" in err
+
+
+# Worlds ------------------------------------------------------------------------------------------
+
+
+def test_a_world_of_ones_own_is_driven_and_recorded(run, road, tmp_path, sketch):
+    (tmp_path / "heavy.toml").write_text("base = 'rtk'\n[car]\nmass = 1.1\n")
+    code, out, err = run("--scenario", road, "--controller", "stanley", "--world", "heavy.toml",
+                         "--estimator", "none", "--latency", 20, "--seed", 3)  # fmt: skip
+    assert (code, err) == (0, "")
+    result = json.loads((tmp_path / "runs" / "road-stanley" / "metrics.json").read_text())
+    assert result["world"]["name"] == "heavy" and result["estimator"] == "none"
+    assert result["world"]["drawn"]["car"] == {"mass": 1.1}
+    assert result["world"]["drawn"]["latency"] == 0.02
+    assert result["record"]["estimator_events"] == 0
+    assert "world heavy, estimator none" in out and "error of the estimated position" in out
+    assert max(len(line) for line in out.splitlines()) <= 80
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (("--world", "moon"), "Unknown world 'moon'"),
+        (("--world", "none.toml"), "Cannot read the world 'none.toml'"),
+        (("--latency", 20.5), "--latency is 20.5, but must be a whole number of milliseconds"),
+        (("--latency", 300), "--latency is 300.0, but must be from 0 to 200 ms"),
+        (("--world", "rtk", "--estimator", "guess"), "Unknown estimator 'guess'"),
+    ],
+)
+def test_what_is_wrong_with_a_world_is_one_line(run, road, options, text):
+    code, _, err = run("--scenario", road, *options)
+    assert code == 2 and text in err and err.count("\n") == 1

@@ -279,6 +279,8 @@ def save(options: Options, log: Log, result: dict[str, Any], out: Path) -> bool:
         "options": given,
         "weights": log.weights,
         "clamped_inputs": log.meta["clamped_inputs"],
+        "estimator_events": log.meta["estimator_events"],
+        "estimator_unknowns": log.meta["estimator_unknowns"],
         "warnings": log.scenario.warnings,
         "commit": commit(),
         "machine": machine(),

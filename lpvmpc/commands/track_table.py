@@ -32,6 +32,8 @@ def print_table(result: dict[str, Any], log: Log) -> None:
     console = Console(width=80 if not sys.stdout.isatty() else None, highlight=False)
     beside = result["scenario"] == "paper"
     title = f"{result['controller']} on {result['scenario']}"
+    if result["estimate_ey_rmse_m"] is not None or result["world"]["drawn"]:
+        title += f", world {result['world']['name']}, estimator {result['estimator']}"
     table = Table(title=title, title_style="bold", title_justify="left", expand=False)
     table.add_column("quantity")
     table.add_column("this run", justify="right")
@@ -70,6 +72,9 @@ def rows(result: dict[str, Any], log: Log) -> Iterator[tuple[str, str, str]]:
     yield "speed error, RMSE", *number("speed_rmse_mps", "m/s")
     yield "speed error, largest", *number("speed_max_mps", "m/s")
     yield "lateral acceleration, largest", *number("lateral_acc_max_mps2", "m/s2", 2)
+    yield "steering rate commanded, RMS", *number("steer_rate_rms_radps", "rad/s", 3)
+    if result["estimate_ey_rmse_m"] is not None:
+        yield "error of the estimated position, RMSE", *number("estimate_ey_rmse_m", "mm", 2, 1e3)
     if result["left_road_s"] or log.scenario.path.has_widths:
         yield "time off the road", *number("left_road_s", "s", 2)
     yield "distance driven", *number("distance_m", "m", 1)
