@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from lpvmpc.sim.loop import Log, simulate
     from lpvmpc.sim.metrics import metrics
     from lpvmpc.sim.names import load_controller, load_scenario
+    from lpvmpc.sim.world import World, load_world
 
 _HOME = {
     "CONTROLLERS": "control.registry",
@@ -44,8 +45,10 @@ _HOME = {
     "State": "interface",
     "VehicleParams": "car.params",
     "Wind": "road.wind",
+    "World": "sim.world",
     "load_controller": "sim.names",
     "load_scenario": "sim.names",
+    "load_world": "sim.world",
     "metrics": "sim.metrics",
     "simulate": "sim.loop",
 }
@@ -65,9 +68,11 @@ __all__ = [
     "State",
     "VehicleParams",
     "Wind",
+    "World",
     "__version__",
     "load_controller",
     "load_scenario",
+    "load_world",
     "metrics",
     "simulate",
 ]
