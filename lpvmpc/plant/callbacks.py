@@ -37,9 +37,8 @@ WHEEL, LOW_SPEED, TIRES = _STARTS["wheel"], _STARTS["low_speed"], sum(_SIZES.val
 
 # The text that names the law, and the names of the laws, as zero-ended bytes.
 _TIRE_LAW = np.frombuffer(TIRE_LAW.encode() + b"\0", np.uint8)
-_LAWS = np.zeros((len(tire.LAWS), max(len(law.NAME) for law in tire.LAWS) + 1), np.uint8)
-for _row, _law in zip(_LAWS, tire.LAWS, strict=True):
-    _row[: len(_law.NAME)] = np.frombuffer(_law.NAME.encode(), np.uint8)
+_LAWS = np.array([list(law.NAME.encode().ljust(32, b"\0")) for law in tire.LAWS], np.uint8)
+
 
 # Columns of userdata: the friction scale less one (so that a cleared row means normal grip), the
 # derivatives handed from the passive callback to the actuation callback, and the outputs, which
