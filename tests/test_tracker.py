@@ -148,6 +148,12 @@ def test_the_handle_shares_the_arrays(car):
         h.delta_max = 1.0
 
 
+def test_all_handles_have_one_type(car):
+    """Else each controller would compile what it shares with the others anew."""
+    types = {maker(car).horizon.handle._numba_type_ for maker in (*TRACKERS.values(), Integrator)}
+    assert len(types) == 1
+
+
 PERIOD = """
 import numpy as np
 from lpvmpc.control import period, qp, horizon

@@ -136,9 +136,12 @@ class Horizon:
     """Acceleration that traction control allows [m/s2], shape (1,)."""
 
     def __post_init__(self) -> None:
-        """Make the handle."""
-        values = tuple(getattr(self, name) for name in _TYPES)
-        object.__setattr__(self, "handle", _make(values))
+        """Make the handle; numbers of one kind, so that all handles have one type."""
+        values = [getattr(self, name) for name in _TYPES]
+        for i, type_ in enumerate(_TYPES.values()):
+            if not isinstance(type_, types.Array):
+                values[i] = int(values[i]) if type_ is types.int64 else float(values[i])
+        object.__setattr__(self, "handle", _make(tuple(values)))
 
     handle: Any = None
     """The same for compiled functions: fields by name, arrays shared, numbers copied."""
