@@ -34,7 +34,7 @@ def fake_log(vx=10.0, steer=0.0, reached=100.0, completed=True):
     meta |= {"completed": completed, "reason": "", "s_end_m": reached, "Ts": 0.033}
     meta |= dict.fromkeys(("duration_s", "reference_duration_s", "realtime_factor"), 1.0)
     meta["model_sha256"] = ""
-    scenario = SimpleNamespace(path=SimpleNamespace(length=100.0))
+    scenario = SimpleNamespace(path=SimpleNamespace(length=100.0, closed=False))
     return SimpleNamespace(
         columns=columns, meta=meta, timing={"step_us": np.ones(n)}, scenario=scenario
     )
