@@ -157,6 +157,20 @@ def test_yaw_bias_and_steering_offset_are_found_within_20_s(lap, sign):
         assert found["steering_offset_std_rad"] < 0.2 * abs(steering)
 
 
+def test_a_front_axle_that_slides_teaches_no_offset(lap):
+    rng = np.random.default_rng(0)
+    sensors, ekf = Sensors(RTK, TS, rng), EKF(CAR, RTK, TS)
+    ekf.reset(lap[0][0], rng)
+    for k, (state, psi_path) in enumerate(lap[:900]):
+        sliding = 300 <= k < 390  # 3 s with the wheels turned in to the stop
+        m = sensors.measure(state, psi_path, k * TS)
+        ekf.update(m._replace(delta=0.5) if sliding else m, STAY)
+        if k == 299:
+            before = ekf.unknowns["steering_offset_rad"]
+        if k == 390:
+            assert ekf.unknowns["steering_offset_rad"] == pytest.approx(before, abs=0.02 * DEG)
+
+
 def test_the_steering_offset_is_not_mistaken_for_side_wind(windy):
     found = replay(windy, RTK, 0).filter.unknowns
     # a wind of this strength alone turns the wheels by 0.5 deg

@@ -74,6 +74,8 @@ FRONT_AXLE = 0.1 * DEG
 """Error of the front axle's angle that is always there: gusts, toe, roll steer [rad]."""
 TIRE = 0.3
 """Relative error of the front axle's slip angle: the stiffness of both axles [-]."""
+BENT = 0.04
+"""Slip angle at which the curve of a tire has left its tangent by as much again [rad]."""
 OFFSET_SPEED = 3.0
 """Below this speed nothing is learned of the steering [m/s]."""
 GIVE_UP = 10
@@ -202,14 +204,14 @@ def learn_offset(m, memory, x, P, u0, c, car):
     r, ay = m[6] - x[BR], m[8] - x[BAY]
     rear = -math.atan2(x[VY] - car[S_LR] * r, x[VX])
     slip = car[S_REAR] * rear + car[S_MOMENT] * (m[6] - u0[0]) / c[C_T] - car[S_SIDE] * ay
-    expected = math.atan2(x[VY] + car[S_LF] * r, x[VX]) + slip
-    # beyond a third of the road's friction the tire's curve bends away from its tangent
-    bent = TIRE * slip * (1.0 + (3.0 * ay / GRAVITY) ** 2)
+    course = math.atan2(x[VY] + car[S_LF] * r, x[VX])
+    used = max(abs(slip), abs(m[9] - memory[OFF] - course))  # the axles do not always agree
+    bent = TIRE * used * (1.0 + (used / BENT) ** 2)
     turn = (1.0 - car[S_REAR]) / x[VX]  # what vy changes in the expected angle
     slow = (FRONT_AXLE**2 + bent * bent) * CORRELATED + P[VY, VY] * turn * turn * car[S_SLOW]
     variance = car[S_NOISE] + slow * 2.0 / c[C_T]
     share = memory[OFF_VAR] / (memory[OFF_VAR] + variance)
-    memory[OFF] += share * (m[9] - expected - memory[OFF])
+    memory[OFF] += share * (m[9] - course - slip - memory[OFF])
     memory[OFF_VAR] *= 1.0 - share
 
 
