@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any
 
-from lpvmpc.picture.figures import (
+from lpvmpc.picture.style import (
     BLUE,
     COLUMN,
     DOUBLE,
@@ -17,7 +15,7 @@ from lpvmpc.picture.figures import (
     PINK,
     RED,
     SKY,
-    STYLE,
+    styled,
 )
 
 if TYPE_CHECKING:
@@ -28,23 +26,6 @@ __all__ = [
     "BLUE", "COLUMN", "DOUBLE", "DPI", "GREEN", "GREY", "ORANGE", "PINK", "RED", "SKY",
     "axes", "label", "limit_band", "limit_line", "styled",
 ]  # fmt: skip
-
-P = ParamSpec("P")
-T = TypeVar("T")
-
-
-def styled(draw: Callable[P, T]) -> Callable[P, T]:
-    """Draw in the house style, whatever the caller's settings are."""
-
-    @functools.wraps(draw)
-    def wrapped(*args: P.args, **kwargs: P.kwargs) -> T:
-        import matplotlib
-
-        with matplotlib.rc_context({**matplotlib.rcParamsDefault, **STYLE}):
-            return draw(*args, **kwargs)
-
-    return wrapped
-
 
 def axes(
     rows: int = 1, columns: int = 1, *, width: float = DOUBLE, height: float = 2.6, **options: Any
