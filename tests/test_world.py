@@ -14,7 +14,7 @@ from lpvmpc.road.scenario import Scenario
 from lpvmpc.road.speed_profile import SpeedProfile
 from lpvmpc.road.surface import Slope, Surface
 from lpvmpc.road.wind import Wind
-from lpvmpc.sensing.sensors import RTK
+from lpvmpc.sensing.channels import RTK
 from lpvmpc.sim.ground import Ground
 from lpvmpc.sim.loop import simulate
 from lpvmpc.sim.metrics import metrics

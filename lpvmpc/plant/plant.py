@@ -138,7 +138,7 @@ class Plant:
         Raises:
             OptionError: No such time, or none that is a whole number of physics steps.
         """
-        return self._latency * float(self.model.opt.timestep)
+        return round(self._latency * float(self.model.opt.timestep), 9)
 
     @latency.setter
     def latency(self, seconds: float) -> None:

@@ -97,7 +97,7 @@ def metrics(log: Log) -> dict[str, Any]:
         "world": meta.get("world", {"name": "ideal", "drawn": {}}),
         "estimator": meta.get("estimator", "none"),
         "steer_rate_rms_radps": rms(np.diff(c["delta_cmd_rad"]) / meta["Ts"]),
-        "estimate_ey_rmse_m": rms(c["est_ey_m"] - c["ey_m"]) if "est_ey_m" in c else None,
+        "estimate_ey_rmse_m": estimate_error(log),
     }
     return {key: values[key] for key in KEYS}
 
@@ -124,6 +124,17 @@ def left_road_time(log: Log) -> float | None:
         half = 0.5 * width * np.abs(np.cos(c["epsi_rad"]))
         beyond |= (axle + half > left) | (axle - half < -right)
     return float(log.meta["Ts"] * np.count_nonzero(beyond))
+
+
+def estimate_error(log: Log) -> float | None:
+    """RMS of the estimated lateral error less the true one [m]; None without an estimator.
+
+    At the instant at which a car is lost nothing is estimated any more.
+    """
+    if "est_ey_m" not in log.columns:
+        return None
+    error = log.columns["est_ey_m"] - log.columns["ey_m"]
+    return rms(error[np.isfinite(error)])
 
 
 def wrap(angle: Array) -> Array:

@@ -47,7 +47,7 @@ from lpvmpc.plant.actuation import MAX_LATENCY
 from lpvmpc.plant.deviations import NOMINAL, Deviations, named
 from lpvmpc.road.surface import PLAIN, Slope, Surface
 from lpvmpc.road.wind import Wind
-from lpvmpc.sensing.sensors import EXACT, PRODUCTION, RTK, Channel, Sensing
+from lpvmpc.sensing.channels import EXACT, PRODUCTION, RTK, Channel, Sensing
 from lpvmpc.sim.values import Uniform, Value, draw_of, ends_of, is_number, value_of
 from lpvmpc.sim.world_names import WORLD_NAMES
 
