@@ -118,6 +118,9 @@ def test_a_file_makes_a_world_from_a_preset(tmp_path):
         ("road = {ice = 1.0}", "Unknown name in a world's road 'ice'"),
         ("road = {wavelength = [1.0, 2.0]}", "world road wavelength"),
         ("air = {side_wind = nan}", "world air side_wind is nan"),
+        ("patches = [[20.0, 10.0, 0.5]]", "0 <= start < end in m"),
+        ("patches = [[0.0, 10.0, 0.0]]", "world patches friction is 0.0"),
+        ("patches = 3", "world patches is 3"),
         ("steering_sensor = 'knee'", "must be wheel or servo"),
         ("[sensing]\nposition = {measured = false}", "the state ey cannot be observed"),
         ("[sensing]\nposition = {noise = 1.0}", "Unknown name in sensing position 'noise'"),
@@ -327,6 +330,21 @@ def test_wind_and_friction_of_a_world_reach_the_car(plant, bend):
     icy = drive(plant, bend, world=World(name="w", road={"friction": 0.5, "friction_left": 0.8}))
     assert icy.columns["mu_fl"][5] == pytest.approx(0.4 * calm.columns["mu_fl"][5], rel=0.01)
     assert icy.columns["mu_rr"][5] == pytest.approx(0.5 * calm.columns["mu_rr"][5], rel=0.01)
+
+
+def test_a_patch_lies_where_it_was_laid(plant, bend):
+    """Each axle is on it while its wheels are between 50 and 70 m."""
+    world = World(name="w", patches=[[50.0, 70.0, [0.4, 0.5]]])
+    log = drive(plant, bend, world=world)
+    ((start, end, factor),) = log.meta["world"]["drawn"]["road"]["patches"]
+    assert (start, end) == (50.0, 70.0) and 0.4 <= factor <= 0.5
+    c, car = log.columns, plant.params
+    # what a row shows was set at the instant before: 12 m/s, 0.4 m; peak friction falls with load
+    for wheel, ahead in (("fl", car.lf), ("rr", -car.lr)):
+        s, mu = c["s_m"] + ahead, c[f"mu_{wheel}"]
+        on, off = (s > 50.5) & (s < 69.5), (s < 49.5) | (s > 70.5)
+        assert mu[on].max() < 0.6 * mu[off].min()
+        assert mu[on].mean() == pytest.approx(factor * mu[off].mean(), rel=0.05)
 
 
 @pytest.mark.parametrize("periods", [0, 1, 2])

@@ -57,6 +57,8 @@ class Surface:
     """Factor under the left wheels besides (split friction)."""
     friction_right: float = 1.0
     """Factor under the right wheels besides."""
+    patches: tuple[tuple[float, float, float], ...] = ()
+    """Stretches of other friction: where each begins and ends [m], and the factor there."""
     grade: Slope = field(default_factory=Slope)
     """Rise per length along the road [-]."""
     bank: Slope = field(default_factory=Slope)
@@ -66,6 +68,14 @@ class Surface:
     def level(self) -> bool:
         """Whether there is neither bank nor grade anywhere."""
         return not any(self.grade.values) and not any(self.bank.values)
+
+    def patch(self, s: float) -> float:
+        """Factor of the patches at an arc length [m]; where they overlap they multiply."""
+        factor = 1.0
+        for start, end, friction in self.patches:
+            if start <= s < end:
+                factor *= friction
+        return factor
 
     @property
     def left(self) -> float:

@@ -28,6 +28,7 @@ class Ground:
         if scenario.path.closed:
             slopes = surface.grade.around(length), surface.bank.around(length)
         self._grade, self._bank = slopes
+        self._lap = length if scenario.path.closed else None
 
     def lay(self, s: float, psi: float) -> None:
         """Put the road of arc length s [m] and heading psi [rad] under the car."""
@@ -35,6 +36,9 @@ class Ground:
             return
         car, surface, along = self.plant.params, self.surface, self.along
         front, rear = (along(s + car.lf), along(s - car.lr)) if along is not None else (1.0, 1.0)
+        if surface.patches:
+            front *= self._patch(s + car.lf)
+            rear *= self._patch(s - car.lr)
         friction = (front * surface.left, front * surface.right,
                     rear * surface.left, rear * surface.right)  # fmt: skip
         if (self._friction != friction).any():
@@ -42,3 +46,7 @@ class Ground:
             self.plant.friction = self._own * self._friction
         if not surface.level:
             self.plant.tilt(self._grade(s), self._bank(s), psi)
+
+    def _patch(self, s: float) -> float:
+        """Factor of the patches at an arc length [m], the same in every lap."""
+        return self.surface.patch(s if self._lap is None else s % self._lap)

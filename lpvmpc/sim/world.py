@@ -7,6 +7,7 @@ recorded with it. `load_world` knows the presets and reads a TOML file, in SI un
     base = "rtk"                    # start from a preset (default: ideal)
     latency = [0.0, 0.04]           # of the commands [s]: uniform between the two
     steering_sensor = "servo"       # sits before offset, ratio and play; or at the "wheel"
+    patches = [[120.0, 160.0, 0.5]] # other friction from 120 to 160 m of the road: a factor
 
     [sensing]                       # or sensing = "production"
     base = "rtk"                    # start from these sensors (default: the world's own)
@@ -108,6 +109,8 @@ class Draw:
             for name in ("friction", "friction_left", "friction_right")
             if getattr(self.surface, name) != 1.0
         }
+        if self.surface.patches:
+            road["patches"] = [list(patch) for patch in self.surface.patches]
         for name in ("bank", "grade"):
             slope: Slope = getattr(self.surface, name)
             if any(slope.values):
@@ -147,6 +150,8 @@ class World:
     """Deviations of the car by their names."""
     road: Mapping[str, Value] = field(default_factory=dict)
     """Deviations of the road, the names in `ROAD`."""
+    patches: tuple[tuple[float, float, Value], ...] = ()
+    """Stretches of other friction: where each begins and ends [m], and the factor there."""
     air: Mapping[str, Value] = field(default_factory=dict)
     """Deviations of the air, the names in `AIR`."""
 
@@ -163,6 +168,7 @@ class World:
             if not 0.0 <= end <= MAX_LATENCY:
                 raise OptionError("world latency", end, f"from 0 to {MAX_LATENCY:g} s")
         object.__setattr__(self, "latency", latency)
+        object.__setattr__(self, "patches", _patches(self.patches))
         for group, domain in (("car", None), ("road", ROAD), ("air", AIR)):
             given = getattr(self, group)
             if not isinstance(given, Mapping):
@@ -218,12 +224,28 @@ class World:
                 friction=friction["friction"],
                 friction_left=friction["friction_left"],
                 friction_right=friction["friction_right"],
+                patches=tuple((a, b, draw_of(value, rng)) for a, b, value in self.patches),
                 grade=slopes["grade"],
                 bank=slopes["bank"],
             ),
             wind_scale=air["wind_scale"],
             side_wind=air["side_wind"],
         )
+
+
+def _patches(given: Any) -> tuple[tuple[float, float, Value], ...]:
+    """Patches as a world has them, checked."""
+    found = []
+    for patch in given if isinstance(given, list | tuple) else [given]:
+        whole = isinstance(patch, list | tuple) and len(patch) == 3
+        if not (whole and all(map(is_number, patch[:2])) and 0.0 <= patch[0] < patch[1]):
+            raise OptionError("world patches", patch, "[start, end, factor], 0 <= start < end in m")
+        value = value_of("patches", patch[2])
+        for end in ends_of(value):
+            if not 0.05 <= end <= 2.0:
+                raise OptionError("world patches friction", end, "from 0.05 to 2")
+        found.append((float(patch[0]), float(patch[1]), value))
+    return tuple(found)
 
 
 FLEET_CAR: dict[str, Value] = {
