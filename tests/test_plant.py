@@ -8,14 +8,15 @@ from lpvmpc.errors import LPVMPCError, ModelError, OptionError
 from lpvmpc.interface import Command
 from lpvmpc.plant import callbacks
 from lpvmpc.plant.plant import Plant
-from lpvmpc.studies import straight, transient
-from lpvmpc.studies.static import on_slope
-from lpvmpc.studies.steady_state import (
+from lpvmpc.studies import straight
+from lpvmpc.studies.parts import steering
+from lpvmpc.studies.parts.circle import (
     deg_per_g,
     effective_stiffness,
     fastest_turning_speed,
     steady,
 )
+from lpvmpc.studies.static import on_slope
 from lpvmpc.studies.study import CarUnderTest
 from lpvmpc.units import GRAVITY
 
@@ -234,8 +235,8 @@ def step_angle(vx):
 
 @pytest.mark.parametrize("vx", [12.0, 15.0, 20.0])
 def test_yaw_rate_after_a_step_of_the_road_wheel_meets_the_target(vx):
-    plant = transient.without_servo(Plant(Ts=transient.DT))
-    found = transient.step_response(transient.step_steer(plant, vx, step_angle(vx)).r)
+    plant = steering.without_servo(Plant(Ts=steering.DT))
+    found = steering.step_response(steering.step_steer(plant, vx, step_angle(vx)).r)
     assert found.t50 == pytest.approx(0.076, abs=0.025)
     assert found.t90 == pytest.approx(0.126, abs=0.025)
     assert found.peak == pytest.approx(0.20, abs=0.025)
@@ -244,15 +245,15 @@ def test_yaw_rate_after_a_step_of_the_road_wheel_meets_the_target(vx):
 
 @pytest.mark.parametrize("vx, target", [(12.0, 0.14), (15.0, 0.16), (20.0, 0.20)])
 def test_lateral_acceleration_after_a_step_meets_the_target(vx, target):
-    run = transient.step_steer(Plant(Ts=transient.DT), vx, step_angle(vx))
-    found = transient.step_response(run.ay, transient.half_steer(run))
+    run = steering.step_steer(Plant(Ts=steering.DT), vx, step_angle(vx))
+    found = steering.step_response(run.ay, steering.half_steer(run))
     assert found.t90 == pytest.approx(target, abs=0.030)
 
 
 @pytest.mark.parametrize("frequency, phase", [(0.5, -8.0), (1.0, -26.0), (2.0, -49.0)])
 def test_phase_from_steering_to_yaw_rate_meets_the_target(frequency, phase):
-    plant = Plant(Ts=transient.DT)
-    response, _ = transient.sine_response(plant, 15.0, frequency, 0.015)
+    plant = Plant(Ts=steering.DT)
+    response, _ = steering.sine_response(plant, 15.0, frequency, 0.015)
     assert math.degrees(np.angle(response[0])) == pytest.approx(phase, abs=6.0)
 
 

@@ -7,15 +7,18 @@ import pytest
 from lpvmpc.car import magic_formula as mf
 from lpvmpc.car.bicycle import CORRECTED, NX, Bicycle, lpv
 from lpvmpc.errors import LPVMPCError, UnknownNameError
+from lpvmpc.interface import Command
 from lpvmpc.kit.findings import Limit, Table
 from lpvmpc.plant.mjcf import parameters
 from lpvmpc.plant.plant import Plant
-from lpvmpc.studies import report, runner, straight, transient
+from lpvmpc.studies import report, runner, straight
 from lpvmpc.studies.names import BROKEN, STUDIES
+from lpvmpc.studies.parts import braking, steering
+from lpvmpc.studies.parts.circle import slope_at_zero
 from lpvmpc.studies.reference import golden_tire, suspension
 from lpvmpc.studies.reference.broken_cars import break_car
+from lpvmpc.studies.reference.circle_formulas import Linear
 from lpvmpc.studies.reference.lateral_model import frequency_response, lateral_model, response
-from lpvmpc.studies.steady_state import Linear, slope_at_zero
 from lpvmpc.studies.study import CarUnderTest, StudyFinding, StudyResult, load_study, relative_error
 
 
@@ -188,7 +191,7 @@ def test_late_forces_are_the_only_difference(car):
     for plant in (sound, late):
         plant.reset()
         for _ in range(3):
-            plant.step(transient.Command(0.0, 0.0))
+            plant.step(Command(0.0, 0.0))
     assert late.data.qpos == pytest.approx(sound.data.qpos, abs=1e-12)
 
 
@@ -262,18 +265,18 @@ def test_the_suspensions_linear_model_knows_heave_and_roll(car):
 
 
 def test_a_first_order_lag_has_its_response_times():
-    times = transient.DT * np.arange(5000.0)
-    found = transient.step_response(1.0 - np.exp(-times / 0.2))
+    times = steering.DT * np.arange(5000.0)
+    found = steering.step_response(1.0 - np.exp(-times / 0.2))
     assert found.t50 == pytest.approx(0.2 * math.log(2.0), rel=1e-4)
     assert found.t90 == pytest.approx(0.2 * math.log(10.0), rel=1e-4)
     assert found.overshoot == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_sine_is_found_in_drift_and_noise():
-    times = transient.DT * np.arange(3000.0)
+    times = steering.DT * np.arange(3000.0)
     wave = 2.0 * math.pi * 1.5 * times
     values = 3.0 + 0.1 * times + 2.0 * np.cos(wave - 0.5) + 0.02 * np.cos(3.0 * wave)
-    amplitude, rest = transient.fit_sine(values, 1.5)
+    amplitude, rest = steering.fit_sine(values, 1.5)
     # drift, sine and third harmonic are orthogonal but for the ends of the record
     assert abs(amplitude) == pytest.approx(2.0, rel=1e-3)
     assert np.angle(amplitude) == pytest.approx(-0.5, abs=1e-3)
@@ -291,9 +294,9 @@ def test_a_coast_down_gives_its_resistance_back(car):
 
 
 def test_deceleration_is_taken_between_80_and_10_percent():
-    speed = straight.V0 - 6.0 * np.arange(0.0, 4.6, 0.001)
-    distance = (straight.V0**2 - speed**2) / 12.0
-    assert straight.Stop(speed, distance, False, 0.0).mfdd == pytest.approx(6.0, rel=1e-6)
+    speed = braking.V0 - 6.0 * np.arange(0.0, 4.6, 0.001)
+    distance = (braking.V0**2 - speed**2) / 12.0
+    assert braking.Stop(speed, distance, False, 0.0).mfdd == pytest.approx(6.0, rel=1e-6)
 
 
 def test_the_slope_at_zero_ignores_the_cubic():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,14 @@ from lpvmpc.interface import Command
 from lpvmpc.kit.findings import Limit, Table
 from lpvmpc.plant.plant import Plant
 from lpvmpc.studies import plots
+from lpvmpc.studies.parts.braking import (
+    KMH,
+    V0,
+    draw_stops,
+    locking_command,
+    sliding_deceleration,
+    stop,
+)
 from lpvmpc.studies.study import CarUnderTest, Picture, Series, StudyResult
 from lpvmpc.units import GRAVITY, Array
 
@@ -37,38 +44,12 @@ METHOD = """\
 - Valid on a dry flat road in still air; no motor map, no battery limits, no ABS.
 """
 
-KMH = 1.0 / 3.6
 PUBLISHED = {"0-50 km/h": (3.7, 4.0), "0-100 km/h": (13.2, 13.5)}
 """Times of a Renault Zoe R240 (65 kW, 220 N m) in advertisements and registers [s]."""
 STEPS = (0.00025, 0.0005, 0.001, 0.002)
 """Physics steps [s]."""
 SPEEDS = (3.0, 5.0, 15.0, 25.0, 35.0)
 """Speeds at which a constant torque acts [m/s]."""
-V0 = 100.0 * KMH
-"""Speed from which the car brakes [m/s]."""
-SLOW = 5.0
-"""Speed at which the front wheels lock most easily [m/s]: hardly any drag helps."""
-
-
-@dataclass(frozen=True)
-class Stop:
-    """Braking from V0 to standstill."""
-
-    speed: Array
-    """[m/s], shape (n,)."""
-    distance: Array
-    """Since the brakes were touched [m], shape (n,)."""
-    locked: bool
-    """Whether a wheel locked above the speed SLOW."""
-    turn: float
-    """Largest change of heading [rad]."""
-
-    @property
-    def mfdd(self) -> float:
-        """Mean fully developed deceleration [m/s2]: (v_b^2 - v_e^2) / (2 (s_e - s_b))."""
-        begin, end = 0.8 * V0, 0.1 * V0
-        places = np.interp([-begin, -end], -self.speed, self.distance)
-        return float((begin**2 - end**2) / (2.0 * (places[1] - places[0])))
 
 
 def run(car: CarUnderTest) -> StudyResult:
@@ -302,63 +283,6 @@ def lag_of_forces(car: CarUnderTest, frequency: float = 5.0) -> float:
 # --- braking ---
 
 
-def stop(plant: Plant, command: float, ramp: float = 1.0) -> Stop:
-    """Brake from V0.
-
-    Args:
-        plant: plant.
-        command: deceleration commanded at the end of the ramp [m/s2], positive.
-        ramp: time over which it rises [s].
-    """
-    state = plant.reset(vx=V0)
-    begin = state.x
-    speeds, places, slip, turn = [state.vx], [0.0], 0.0, 0.0
-    while state.vx > 0.2 and len(speeds) * plant.Ts < 60.0:
-        state = plant.step(Command(0.0, -command * min(len(speeds) * plant.Ts / ramp, 1.0)))
-        speeds.append(state.vx)
-        places.append(state.x - begin)
-        turn = max(turn, abs(state.psi))
-        if state.vx > SLOW:
-            slip = min(slip, float(plant.wheels.slip_ratio.min()))
-    return Stop(np.array(speeds), np.array(places), slip < -0.5, turn)
-
-
-def locking_command(car: CarUnderTest) -> tuple[float, float]:
-    """Command at which the front wheels lock at the speed SLOW, and the deceleration then.
-
-    Front tires: share of the brake torque plus rolling resistance, less what stops their spin;
-    their load: m g lr / L + m a h / L; their limit: peak friction at that load.
-
-    Returns:
-        Command and deceleration [m/s2], both positive.
-    """
-    p = car.params
-    drag = 0.5 * p.rho_air * p.CdA * SLOW**2
-    low, high = 0.0, 20.0
-    for _ in range(60):
-        command = 0.5 * (low + high)
-        a = command + (p.c_roll * p.m * GRAVITY + drag) / p.m_eff
-        Fz = (p.m * GRAVITY * p.lr + p.m * a * p.h) / p.wheelbase
-        Fx = p.brake_front * p.m_eff * command + p.c_roll * Fz - 2.0 * p.J_w / p.R_w**2 * a
-        limit = mf.peak_friction(car.tires[0], 0.5 * Fz)[0] * Fz
-        low, high = (command, high) if Fx < limit else (low, command)
-    return command, a
-
-
-def sliding_deceleration(car: CarUnderTest) -> float:
-    """Deceleration on four locked wheels, without drag [m/s2]."""
-    p = car.params
-    a = 0.7 * GRAVITY
-    for _ in range(50):
-        front = (p.m * GRAVITY * p.lr + p.m * a * p.h) / p.wheelbase
-        forces = [
-            2.0 * mf.forces(c, -1.0, 0.0, 0.5 * load, 1.0)[0]
-            for c, load in zip(car.tires, (front, p.m * GRAVITY - front), strict=True)
-        ]
-        a = -sum(forces) / p.m
-    return a
-
-
 def _braking(result: StudyResult, car: CarUnderTest) -> None:
     p = car.params
     plant = car.plant(Ts=0.01)
@@ -409,7 +333,7 @@ def _braking(result: StudyResult, car: CarUnderTest) -> None:
             "braking",
             "Braking from 100 km/h. Left: speed over distance. Right: mean fully developed "
             "deceleration over the commanded one; beyond the line the front wheels lock.",
-            _draw_braking(stops, commands, sweep, expected, car),
+            draw_stops(stops, commands, sweep, expected, car),
         )
     )
 
@@ -470,28 +394,3 @@ def _draw_acceleration(
     return figure
 
 
-@plots.styled
-def _draw_braking(
-    stops: dict[str, Stop], commands: Array, sweep: Array, expected: float, car: CarUnderTest
-) -> Any:
-    grip = car.params.mu * GRAVITY
-    figure, (left, right) = plots.axes(1, 2, height=2.6)
-    for (name, s), colour in zip(stops.items(), (plots.BLUE, plots.ORANGE), strict=True):
-        left.plot(s.distance, s.speed / KMH, color=colour, label=name)
-    way = np.linspace(0.0, V0**2 / (2.0 * grip), 100)
-    left.plot(way, np.sqrt(np.maximum(V0**2 - 2.0 * grip * way, 0.0)) / KMH, color=plots.RED,
-              lw=0.9, ls=(0, (4, 2)), label="mu g")  # fmt: skip
-    plots.label(left, "distance [m]", "speed [km/h]", "Braking from 100 km/h, ramp of 1 s")
-    left.set_ylim(0.0, 105.0)
-    left.legend(loc="lower left")
-    right.plot(commands, sweep, "o-", ms=2.5, color=plots.BLUE, label="simulated")
-    plots.limit_line(right, grip, "mu g")
-    right.axvline(expected, color="black", lw=0.9, ls=(0, (1, 1.5)), label="front locks, computed")
-    right.axhline(
-        sliding_deceleration(car), color=plots.ORANGE, lw=0.9, ls=(0, (4, 2)),
-        label="all sliding, computed",
-    )  # fmt: skip
-    right.set_ylim(0.0, 9.0)
-    plots.label(right, "commanded deceleration [m/s²]", "MFDD [m/s²]", "Use of friction")
-    right.legend(loc="lower right")
-    return figure

@@ -5,16 +5,23 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from lpvmpc.car import magic_formula as mf
-from lpvmpc.kit.findings import Limit, Table
-from lpvmpc.plant.plant import Plant
-from lpvmpc.plant.rollout import SPIN_QVEL
+from lpvmpc.kit.findings import Limit
 from lpvmpc.studies import plots
+from lpvmpc.studies.parts.tire_bench import Bench
+from lpvmpc.studies.parts.tire_curves import (
+    LOADS,
+    TABLE_2_MU,
+    curve_series,
+    draw_slip,
+    loads_table,
+    peak,
+    sweep,
+)
 from lpvmpc.studies.reference import golden_tire
-from lpvmpc.studies.study import TARGET, CarUnderTest, Picture, Series, StudyResult
+from lpvmpc.studies.study import TARGET, CarUnderTest, Picture, StudyResult
 from lpvmpc.units import GRAVITY, Array
 
 METHOD = """\
@@ -35,11 +42,7 @@ times nominal load (FNOMIN: the static wheel load), and at none.
 - Valid for a symmetric tire upright on a dry flat road, below some 8 Hz (first-order relaxation).
 """
 
-LOADS = golden_tire.LOADS
-"""Loads of the sweeps over FNOMIN."""
 AXLES = ("front", "rear")
-TABLE_2_MU = 0.82
-"""Friction in the paper's Table 2."""
 
 
 def run(car: CarUnderTest) -> StudyResult:
@@ -57,14 +60,14 @@ def run(car: CarUnderTest) -> StudyResult:
     _extremes(result, under_test, bench)
     _golden(result, under_test)
     _engine(result, bench, documented)
-    result.tables.append(_overview(under_test))
-    result.series += _curves(under_test)
+    result.tables.append(loads_table(under_test))
+    result.series += curve_series(under_test)
     result.pictures += [
         Picture(
             "slip",
             "Pure slip at three loads (Fz0: nominal load), front tire solid and rear tire dashed. "
             "Dots: golden values of CommonRoad's tire functions with the same coefficients.",
-            _draw_slip(under_test),
+            draw_slip(under_test),
         ),
         Picture(
             "combined",
@@ -75,99 +78,6 @@ def run(car: CarUnderTest) -> StudyResult:
         ),
     ]
     return result
-
-
-class Bench:
-    """The engine's own tires at given load and slip: the car is held, its forces are read."""
-
-    def __init__(self, plant: Plant) -> None:
-        """Take a plant; its state is used freely."""
-        self.plant = plant
-        model, data = plant.model, plant.data
-        self._reference = model.qpos0.copy()
-        data.qpos[:] = self._reference
-        mujoco.mj_forward(model, data)
-        wheels = ("fl", "fr", "rl", "rr")
-        self._height = np.array([data.xpos[model.body(f"wheel_{w}").id][2] for w in wheels])
-        self._travel = [int(model.joint(f"susp_{w}").qposadr[0]) for w in wheels]
-        self._coefficients = [
-            np.array(model.numeric(f"tire_{axle}").data) for axle in ("f", "f", "r", "r")
-        ]
-
-    def hold(self, Fz: float, slip_ratio: float, tan_alpha: float, speed: float) -> None:
-        """Put the car where all four tires have this load and slide like this.
-
-        Args:
-            Fz: load [N]; with 0 the tires are off the road.
-            slip_ratio: of all wheels [-].
-            tan_alpha: tangent of the slip angle [-].
-            speed: along the car's axis [m/s].
-        """
-        plant, data = self.plant, self.plant.data
-        data.qpos[:] = self._reference
-        for i, c in enumerate(self._coefficients):
-            height = c[mf.R0] - Fz / c[mf.KZ] if Fz > 0.0 else c[mf.R0] + 1e-3
-            data.qpos[self._travel[i]] = height - self._height[i]
-        data.qvel[:] = 0.0
-        data.qvel[:2] = speed, -tan_alpha * speed
-        data.qvel[list(SPIN_QVEL)] = speed * (1.0 + slip_ratio) / plant.params.R_w
-        data.ctrl[:] = 0.0
-        data.act[:2] = 0.0
-
-    def forces(self, Fz: float, slip_ratio: float, tan_alpha: float, speed: float = 20.0) -> Array:
-        """Steady Fx, Fy [N] of the wheels fl, fr, rl, rr, shape (4, 2)."""
-        self.hold(Fz, slip_ratio, tan_alpha, speed)
-        act = self.plant.data.act
-        for i, c in enumerate(self._coefficients):
-            sigma_x, sigma_y = mf.relaxation_lengths(c, Fz)
-            act[2 + 2 * i : 4 + 2 * i] = slip_ratio * sigma_x, tan_alpha * sigma_y
-        mujoco.mj_forward(self.plant.model, self.plant.data)
-        wheels = self.plant.wheels
-        return np.stack([wheels.Fx, wheels.Fy], axis=1)
-
-    def step_response(
-        self, Fz: float, slip_ratio: float, tan_alpha: float, *, speed: float = 5.0, time: float
-    ) -> tuple[Array, Array]:
-        """Slip that makes force after the patch begins to slide.
-
-        Args:
-            Fz: load [N].
-            slip_ratio: switched on at the beginning.
-            tan_alpha: the same.
-            speed: along the car's axis [m/s].
-            time: how long to watch [s].
-
-        Returns:
-            Rolled distance [m], shape (n,), and slip ratio and tan_alpha of the four wheels,
-            shape (n, 4, 2).
-        """
-        model, data = self.plant.model, self.plant.data
-        data.act[:] = 0.0
-        count = round(time / model.opt.timestep)
-        slips = np.empty((count, 4, 2))
-        for k in range(count):
-            self.hold(Fz, slip_ratio, tan_alpha, speed)
-            mujoco.mj_step(model, data)
-            wheels = self.plant.wheels
-            slips[k] = np.stack([wheels.slip_ratio, np.tan(wheels.slip_angle)], axis=1)
-        return speed * model.opt.timestep * np.arange(1, count + 1), slips
-
-
-def sweep(c: Array, slips: Array, Fz: float, *, lateral: bool, other: float = 0.0) -> Array:
-    """Fx, Fy, Mz over one slip, the other held.
-
-    Args:
-        c: coefficients.
-        slips: slip ratios, or tangents of the slip angle where `lateral`, shape (n,).
-        Fz: load [N].
-        lateral: which slip is swept.
-        other: the other slip.
-
-    Returns:
-        Forces [N] and moment [N m], shape (n, 3).
-    """
-    pairs = [(other, s) if lateral else (s, other) for s in slips]
-    return np.array([mf.forces(c, kappa, alpha, Fz, 1.0) for kappa, alpha in pairs])
 
 
 # --- verdicts ---
@@ -230,14 +140,6 @@ def _cornering(c: Array, Fz: float) -> float:
         * c[mf.FNOMIN]
         * math.sin(2.0 * math.atan(Fz / (c[mf.PKY2] * c[mf.FNOMIN])))
     )
-
-
-def peak(c: Array, Fz: float, *, lateral: bool, friction: float = 1.0) -> float:
-    """Largest pure force over load, found by a sweep of the slip up to 1."""
-    slips = np.linspace(0.0, 1.0, 2001)
-    column = 1 if lateral else 0
-    pairs = [(0.0, s) if lateral else (s, 0.0) for s in slips]
-    return max(mf.forces(c, *pair, Fz, friction)[column] for pair in pairs) / Fz
 
 
 def _peaks(result: StudyResult, tires: dict[str, Array]) -> None:
@@ -397,85 +299,6 @@ def _engine(result: StudyResult, bench: Bench, documented: dict[str, Array]) -> 
 
 
 # --- what is shown ---
-
-
-def _overview(tires: dict[str, Array]) -> Table:
-    rows = []
-    for axle, c in tires.items():
-        for load in LOADS:
-            Fz = load * c[mf.FNOMIN]
-            sigma_x, sigma_y = mf.relaxation_lengths(c, Fz)
-            rows.append(
-                (
-                    axle, Fz, peak(c, Fz, lateral=False), peak(c, Fz, lateral=True),
-                    1e-3 * mf.slip_stiffness(c, Fz), 1e-3 * mf.cornering_stiffness(c, Fz),
-                    1e3 * mf.pneumatic_trail(c, 0.0, Fz), sigma_x, sigma_y,
-                )
-            )  # fmt: skip
-    header = (
-        "tire", "load [N]", "mu x", "mu y", "Kx [kN]", "Ky [kN/rad]", "trail [mm]",
-        "sigma x [m]", "sigma y [m]",
-    )  # fmt: skip
-    return Table("loads", "One tire at the loads of the sweeps", header, rows)
-
-
-RATIOS = np.linspace(-0.3, 0.3, 121)
-ANGLES = np.radians(np.linspace(-15.0, 15.0, 121))
-
-
-def _curves(tires: dict[str, Array]) -> list[Series]:
-    along: dict[str, Any] = {"slip_ratio": RATIOS}
-    across: dict[str, Any] = {"slip_angle_deg": np.degrees(ANGLES)}
-    for axle, c in tires.items():
-        for load in LOADS:
-            Fz = load * c[mf.FNOMIN]
-            along[f"Fx_{axle}_{load:g}_N"] = sweep(c, RATIOS, Fz, lateral=False)[:, 0]
-            forces = sweep(c, np.tan(ANGLES), Fz, lateral=True)
-            across[f"Fy_{axle}_{load:g}_N"] = forces[:, 1]
-            across[f"Mz_{axle}_{load:g}_Nm"] = forces[:, 2]
-    return [Series("longitudinal", along), Series("lateral", across)]
-
-
-@plots.styled
-def _draw_slip(tires: dict[str, Array]) -> Any:
-    figure, axes = plots.axes(2, 2, height=4.6)
-    colours = (plots.SKY, plots.BLUE, plots.ORANGE)
-    for axle, style in (("front", "-"), ("rear", (0, (4, 2)))):
-        c = tires[axle]
-        for load, colour in zip(LOADS, colours, strict=True):
-            Fz = load * c[mf.FNOMIN]
-            look = {"color": colour, "ls": style, "lw": 1.1 if axle == "front" else 0.8}
-            name = {"label": f"{load:g} Fz0"} if axle == "front" else {}
-            axes[0, 0].plot(
-                100.0 * RATIOS, 1e-3 * sweep(c, RATIOS, Fz, lateral=False)[:, 0], **look, **name
-            )
-            forces = sweep(c, np.tan(ANGLES), Fz, lateral=True)
-            axes[0, 1].plot(np.degrees(ANGLES), 1e-3 * forces[:, 1], **look)
-            axes[1, 0].plot(np.degrees(ANGLES), forces[:, 2], **look)
-        loads = np.linspace(0.2, 2.0, 40)
-        for lateral, colour in ((False, plots.RED), (True, plots.GREEN)):
-            mu = [mf.peak_friction(c, load * c[mf.FNOMIN])[int(lateral)] for load in loads]
-            way = "lateral" if lateral else "longitudinal"
-            axes[1, 1].plot(
-                1e-3 * loads * c[mf.FNOMIN], mu, color=colour, ls=style, label=f"{way}, {axle}"
-            )
-    axes[1, 1].axhline(TABLE_2_MU, color=plots.GREY, lw=0.8, ls=":", label="Table 2")
-    for name, _, kappa, alpha, Fx, Fy in golden_tire.read()["rows"]:
-        if name != "front":
-            continue
-        if alpha == 0.0 and abs(kappa) <= 0.3:
-            axes[0, 0].plot(100.0 * kappa, 1e-3 * Fx, "o", color="black", ms=2.2, zorder=5)
-        if kappa == 0.0 and abs(alpha) <= 0.27:
-            at = math.degrees(math.atan(alpha))
-            axes[0, 1].plot(at, 1e-3 * Fy, "o", color="black", ms=2.2, zorder=5)
-    plots.label(axes[0, 0], "slip ratio [%]", "Fx [kN]", "Longitudinal force")
-    plots.label(axes[0, 1], "slip angle [deg]", "Fy [kN]", "Lateral force")
-    plots.label(axes[1, 0], "slip angle [deg]", "Mz [N m]", "Aligning moment")
-    plots.label(axes[1, 1], "load [kN]", "peak friction", "Load sensitivity")
-    axes[0, 0].legend(loc="upper left")
-    axes[1, 1].legend(loc="upper right", ncols=2)
-    axes[1, 1].set_ylim(0.68, 0.96)
-    return figure
 
 
 @plots.styled
