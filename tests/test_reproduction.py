@@ -14,10 +14,12 @@ from lpvmpc.paper import (
     findings,
     measurements,
     printed_formulas,
+    printed_numbers,
     records,
     report,
     retrain,
     runs,
+    sentences,
 )
 from lpvmpc.paper import steering_at_rest as resting
 from lpvmpc.paper.runs import LMPC, OURS, PAPERS, PLAIN
@@ -256,9 +258,9 @@ def test_ratios_to_the_baseline_are_told_with_the_influence_of_weights(make):
         return errors(entry, case)
 
     e = make(of)
-    assert findings.ratio(e, "lateral_rmse_m") == pytest.approx(10.0)
-    assert findings.ratio(e, "lateral_rmse_m", lmpc="by hand") == pytest.approx(30.0)
-    sentence = next(s for s in findings.sentences(e) if s.startswith("The baseline's RMSE"))
+    assert printed_numbers.ratio(e, "lateral_rmse_m") == pytest.approx(10.0)
+    assert printed_numbers.ratio(e, "lateral_rmse_m", lmpc="by hand") == pytest.approx(30.0)
+    sentence = next(s for s in sentences.sentences(e) if s.startswith("The baseline's RMSE"))
     assert "10.0 (10.0 to 30.0 over the weights; paper 6.3) for the lateral" in sentence
     assert "5.0 (5.0 to 5.0 over the weights; paper 1.4) for the speed" in sentence
     assert f"| {PAPERS}" in report.influence_table(e)
@@ -273,13 +275,13 @@ def test_the_papers_claim_is_judged_whichever_way_it_falls(make, hand, verdict):
             return result(hand, 0.05)
         return errors(entry, case)
 
-    sentence = next(s for s in findings.sentences(make(of)) if s.startswith("The paper puts"))
+    sentence = next(s for s in sentences.sentences(make(of)) if s.startswith("The paper puts"))
     assert f"(tuned and by hand), paper 6.3, {verdict}; speed 5.00 and 5.00" in sentence
     assert sentence.endswith("(tuned and by hand), paper 1.4, confirmed.")
 
 
 def test_what_the_printed_slips_do_is_told(make):
-    text = next(s for s in findings.sentences(make()) if s.startswith("As printed"))
+    text = next(s for s in sentences.sentences(make()) if s.startswith("As printed"))
     assert "lose the car on all roads" in text
     assert "alone it is lost somewhere with signs and drag" in text
     assert "grows with error (3.0 times)" in text
@@ -287,7 +289,7 @@ def test_what_the_printed_slips_do_is_told(make):
 
 
 def test_the_parts_are_told_by_what_they_bring(make):
-    told = findings.sentences(make())
+    told = sentences.sentences(make())
     chain = next(s for s in told if s.startswith("From the plain"))
     assert "falls by a factor of 10 " in chain and "exact hold instead of Euler (10.0)" in chain
     alone = next(s for s in told if s.startswith("Each part taken alone"))
@@ -299,14 +301,14 @@ def test_a_lost_baseline_leaves_no_ratio(make):
         return result(lost=entry.controller == LMPC)
 
     e = make(of)
-    assert findings.ratio(e, "speed_rmse_mps") is None
-    assert not any(s.startswith("The baseline's RMSE") for s in findings.sentences(e))
-    number = next(n for n in findings.numbers(e) if n.key == "lmpc_lateral_rmse_m")
+    assert printed_numbers.ratio(e, "speed_rmse_mps") is None
+    assert not any(s.startswith("The baseline's RMSE") for s in sentences.sentences(e))
+    number = next(n for n in printed_numbers.numbers(e) if n.key == "lmpc_lateral_rmse_m")
     assert (number.paper, number.ours) == (0.1367, None)
 
 
 def test_what_the_paper_prints_and_cannot_be_is_remarked(make):
-    numbers = {n.key: n for n in findings.numbers(make())}
+    numbers = {n.key: n for n in printed_numbers.numbers(make())}
     assert "impossible" in numbers["speed_max_mps"].remark
     assert "88 Hz" in numbers["rate_hz"].remark
     assert numbers["r2_test"].ours == pytest.approx(0.965)
@@ -319,7 +321,7 @@ def test_what_the_paper_prints_and_cannot_be_is_remarked(make):
 
 def test_the_report_holds_every_table_and_says_where_a_car_was_lost(make):
     text = report.report(make(), {"fig8-path": "paper/fig8-path.png"})
-    for title in (*findings.TABLES.values(), *runs.GROUPS.values()):
+    for title in (*printed_numbers.TABLES.values(), *runs.GROUPS.values()):
         assert f"**{title}" in text, title
     assert "off at 123 m" in text
     assert report.cell(SimpleNamespace(completed=False, result={

@@ -59,7 +59,7 @@ def main(options: Options) -> int:
     if options.json is not None:
         cli.writable_folder(options.json.parent)
     jobs, start = options.jobs or cli.cores(), time.perf_counter()
-    from lpvmpc.paper import figures, findings, measurements, report
+    from lpvmpc.paper import figures, measurements, report
 
     try:
         with Progress() as say:
@@ -84,7 +84,7 @@ def main(options: Options) -> int:
         values=report.as_json(found),
         copy=options.json,
     )
-    print(summary(found, report, findings))
+    print(summary(found))
     print(f"Saved {out}/ ({NAME}.md, {NAME}.csv, {NAME}.json, {NAME}/*.png)")
     return cli.DONE
 
@@ -118,11 +118,13 @@ def retrain(cache: Path, jobs: int, quick: bool, say: Progress) -> dict[str, Pat
     return retrain.train(cache / "training", jobs, say)
 
 
-def summary(found: Evidence, report: Any, findings: Any) -> str:
+def summary(found: Evidence) -> str:
     """What is printed, at 80 columns: the promises and the sentences."""
+    from lpvmpc.paper import findings, report, sentences
+
     bars = findings.bars(found)
     parts = [report.promises(bars), promises_sentence(bars), ""]
-    parts += [f"- {sentence}" for sentence in (*findings.sentences(found), *found.missing)]
+    parts += [f"- {sentence}" for sentence in (*sentences.sentences(found), *found.missing)]
     return "\n".join(
         part if "\n" in part else textwrap.fill(part, 80, subsequent_indent="  ")
         for part in parts

@@ -6,14 +6,15 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
+from lpvmpc.bench.cases import CHARGE
 from lpvmpc.bench.report import cell, short
 from lpvmpc.kit.findings import Finding, promises_sentence, promises_table
 from lpvmpc.kit.markdown import markdown_table
 from lpvmpc.kit.provenance import machine
 from lpvmpc.kit.report import csv_text, finite, record, versions_line
-from lpvmpc.paper import findings
-from lpvmpc.paper.findings import Number, Value
+from lpvmpc.paper import findings, printed_numbers, sentences
 from lpvmpc.paper.measurements import Evidence, Row
+from lpvmpc.paper.printed_numbers import Number, Value
 from lpvmpc.paper.runs import GROUPS, LMPC, OURS, PAPERS, PLAIN, Case
 
 TITLE = "The paper's results beside ours"
@@ -73,7 +74,7 @@ def report(e: Evidence, pictures: Mapping[str, str]) -> str:
         pictures: Addresses of the pictures by name.
     """
     found = findings.bars(e)
-    numbers = findings.numbers(e)
+    numbers = printed_numbers.numbers(e)
     lines = [
         f"# {TITLE}" + (" (quick look: a part of it, not the report)" if e.quick else ""),
         "",
@@ -82,7 +83,7 @@ def report(e: Evidence, pictures: Mapping[str, str]) -> str:
         DEFINITIONS,
         "## Verdict",
         "",
-        *(f"- {sentence}" for sentence in findings.sentences(e)),
+        *(f"- {sentence}" for sentence in sentences.sentences(e)),
         *(f"- {sentence}" for sentence in e.missing),
         "",
         promises(found),
@@ -90,7 +91,7 @@ def report(e: Evidence, pictures: Mapping[str, str]) -> str:
         "",
         "## The paper's numbers",
         "",
-        *(numbers_table(numbers, group) for group in findings.TABLES),
+        *(numbers_table(numbers, group) for group in printed_numbers.TABLES),
         "Weights of the paper: Q = diag(0.008, 0.0007, 0.0133, 3, 0.021, 5), six entries for five "
         "states, and R = diag(0.0337, 0.0117).",
         "",
@@ -170,7 +171,7 @@ def numbers_table(numbers: Sequence[Number], group: str) -> str:
         values = (n.paper, n.ours, n.third) if third else (n.paper, n.ours)
         body.append([n.text, n.unit, *(show(value, n.digits) for value in values), n.remark])
     text = ("unit", "remark")
-    return markdown_table(findings.TABLES[group], [*header, "remark"], body, words=text)
+    return markdown_table(printed_numbers.TABLES[group], [*header, "remark"], body, words=text)
 
 
 def show(value: Value, digits: int = 3) -> str:
@@ -188,15 +189,15 @@ def influence_table(e: Evidence) -> str:
     for other in (OURS, PAPERS, PLAIN):
         for ours in ("tuned", "by hand"):
             cells = [
-                show(findings.ratio(e, key, other=other, lmpc=lmpc, ours=ours))
+                show(printed_numbers.ratio(e, key, other=other, lmpc=lmpc, ours=ours))
                 for lmpc in ("tuned", "by hand")
-                for key in findings.PAPER_RATIO
+                for key in printed_numbers.PAPER_RATIO
             ]
             if any(cell != "-" for cell in cells):
                 body.append((other, ours, *cells))
     if not body:
         return ""
-    paper = " and ".join(f"{value:.2f}" for value in findings.PAPER_RATIO.values())
+    paper = " and ".join(f"{value:.2f}" for value in printed_numbers.PAPER_RATIO.values())
     header = ("controller", "its weights", "lateral, tuned", "speed, tuned", "lateral, by hand",
               "speed, by hand")  # fmt: skip
     title = f"RMSE of {LMPC} over that of a controller, on paper, by weights of the baseline"
@@ -230,7 +231,7 @@ def controllers(e: Evidence) -> Iterable[str]:
 
 def times_table(e: Evidence) -> str:
     """Step times over ours, and fallbacks."""
-    p50, p99 = (findings.step_times(e, which) for which in ("p50", "p99"))
+    p50, p99 = (sentences.step_times(e, which) for which in ("p50", "p99"))
     body = []
     for entry in e.entries("tuned"):
         rows = [r for r in e.rows if r.entry.group == "tuned" and r.entry.key == entry.key]
@@ -304,7 +305,7 @@ def tunings(e: Evidence, pictures: Mapping[str, str]) -> Iterable[str]:
 
 
 def _rmse(result: Mapping[str, Any]) -> float:
-    return float(result["lateral_rmse_m"]) if result["completed"] else findings.CHARGE
+    return float(result["lateral_rmse_m"]) if result["completed"] else CHARGE
 
 
 def limits(e: Evidence) -> list[str]:
@@ -366,9 +367,9 @@ def as_json(e: Evidence) -> dict[str, Any]:
         "numbers": {
             n.key: {"text": n.text, "unit": n.unit, "paper": n.paper, "ours": finite(n.ours),
                     "ours_wind_third": finite(n.third), "remark": n.remark}
-            for n in findings.numbers(e)
+            for n in printed_numbers.numbers(e)
         },
-        "sentences": [*findings.sentences(e), *e.missing],
+        "sentences": [*sentences.sentences(e), *e.missing],
         "rest": [{**asdict(one), "ok": one.ok} for one in e.rests],
         "runs": [
             {"group": r.entry.group, "line": r.entry.key, "road": r.case.key,
