@@ -5,6 +5,7 @@ import sys
 import time
 import tomllib
 import zipfile
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -174,6 +175,36 @@ def test_a_markdown_table_lines_up():
         "| long one | 1.5 |",
         "| a        |  22 |",
     ]
+
+
+# What one can walk through -----------------------------------------------------------------------
+
+
+def sizes(package):
+    """Lines of every file of a package, by path, and files of every folder in it."""
+    lines = {
+        file.relative_to(package).as_posix(): len(file.read_text().splitlines())
+        for file in package.rglob("*.py")
+    }
+    return lines, Counter(str(Path(file).parent) for file in lines)
+
+
+def test_no_file_is_longer_than_400_lines_and_no_package_larger_than_16_files(root):
+    lines, files = sizes(root / "lpvmpc")
+    assert {"control/qp.py", "studies/parts/circle.py"} <= set(lines)  # that anything is counted
+    assert {file: n for file, n in lines.items() if n > 400} == {}
+    assert {folder: n for folder, n in files.items() if n > 16} == {}
+    assert 1 <= files["."] <= 8
+
+
+def test_a_package_grown_too_large_is_seen(tmp_path):
+    inner = tmp_path / "inner"
+    inner.mkdir()
+    for i in range(17):
+        (inner / f"{i}.py").write_text("x = 1\n" * (401 if i == 3 else 1))
+    lines, files = sizes(tmp_path)
+    assert lines["inner/3.py"] == 401 and lines["inner/4.py"] == 1
+    assert files == {"inner": 17}
 
 
 # The cache of compiled code ---------------------------------------------------------------------
