@@ -6,14 +6,14 @@ import pytest
 from lpvmpc.bench import cases as ablation
 from lpvmpc.bench import report as ablation_report
 from lpvmpc.bench import verdict
-from lpvmpc.bench.cases import CASES, CHARGE, GRIPS, MODELS, PLAIN, Row, Search
+from lpvmpc.bench.cases import CASES, CHARGE, GRIPS, MODELS, PLAIN, DrivenCase, FactorSearch
 from lpvmpc.bench.verdict import Results, bars, sentences
 from lpvmpc.kit.findings import promises_sentence
 from lpvmpc.sim.metrics import KEYS
 
 SEARCHES = {
-    True: Search(cost={0.7: 0.004, 0.8: 0.003, 0.9: 0.005}, lost={0.7: 0, 0.8: 0, 0.9: 1}),
-    False: Search(cost={0.8: 0.006, 0.9: 0.004}, lost={0.8: 0, 0.9: 0}),
+    True: FactorSearch(cost={0.7: 0.004, 0.8: 0.003, 0.9: 0.005}, lost={0.7: 0, 0.8: 0, 0.9: 1}),
+    False: FactorSearch(cost={0.8: 0.006, 0.9: 0.004}, lost={0.8: 0, 0.9: 0}),
 }
 GOOD = {"constant": 6.0, "constant-best": 4.0, "network-secant": 2.0, "network": 1.0,
         "oracle-secant": 1.5, "oracle": 0.9, "network-dry": 3.0, "lpv-mpc-paper": 30.0}  # fmt: skip
@@ -39,7 +39,7 @@ def made_up(changes=None, cases=CASES):
     """All rows, with what is changed: (case, model, observer) -> result."""
     changes = changes or {}
     return [
-        Row(case=case, model=model, observer=observer,
+        DrivenCase(case=case, model=model, observer=observer,
             result=changes.get((case.key, model.key, observer),
                                result(GOOD[model.key] * (1.0 if observer else 2.0))))
         for case in cases for observer in (True, False) for model in case.models()
@@ -269,13 +269,13 @@ def test_no_sentence_is_made_of_nothing():
 )
 def test_a_cell_shows_errors_or_where_the_car_was_lost(mm, reason, text):
     made = result(mm) if reason is None else result(mm, lost_at=312.4, reason=reason)
-    row = Row(case=CASES[0], model=MODELS[0], observer=True, result=made)
+    row = DrivenCase(case=CASES[0], model=MODELS[0], observer=True, result=made)
     assert ablation_report.cell(row) == text
 
 
 def test_a_run_that_raised_is_shown_and_charged():
     charged = {**dict.fromkeys(KEYS), "completed": False, "reason": "ValueError: x"}
-    row = Row(case=CASES[0], model=MODELS[0], observer=True, result=charged)
+    row = DrivenCase(case=CASES[0], model=MODELS[0], observer=True, result=charged)
     assert ablation_report.cell(row) == "failed" and row.rmse == row.largest == CHARGE
     changes = {("circuit-0.87", "network", True): charged}
     rows = made_up(changes)

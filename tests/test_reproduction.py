@@ -80,12 +80,12 @@ def make(study):
         entries = runs.entries(equipment)
         cases = [case for case in runs.CASES if not quick or case.key in runs.QUICK]
         rows = [
-            measurements.Row(entry=entry, case=case, result=of(entry, case))
+            measurements.DrivenEntry(entry=entry, case=case, result=of(entry, case))
             for entry in (runs.quick(entries) if quick else entries)
             for case in runs.cases_of(entry, cases)
         ]
         rests = [
-            resting.Rest(vx=vx, turning=False, completed=True, answered=0.01, left=1e-5)
+            resting.GustAnswer(vx=vx, turning=False, completed=True, answered=0.01, left=1e-5)
             for vx in resting.SPEEDS
         ]
         t = np.linspace(0.0, 10.0, 50)

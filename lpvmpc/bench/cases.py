@@ -168,7 +168,7 @@ class Measured:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row(Measured):
+class DrivenCase(Measured):
     """One cell of the tables: a case driven by a model."""
 
     case: Case
@@ -203,7 +203,7 @@ def run_of(case: Case, model: Model, observer: bool, scale: float = 1.0) -> Run:
     )
 
 
-def compare(cases: Iterable[Case], best: Mapping[bool, float], drive: Drive) -> list[Row]:
+def compare(cases: Iterable[Case], best: Mapping[bool, float], drive: Drive) -> list[DrivenCase]:
     """Drive every case by all its models, with and without the observer.
 
     Args:
@@ -223,7 +223,7 @@ def compare(cases: Iterable[Case], best: Mapping[bool, float], drive: Drive) -> 
         for case, model, observer in planned
     ]
     return [
-        Row(case=case, model=model, observer=observer, result=result)
+        DrivenCase(case=case, model=model, observer=observer, result=result)
         for (case, model, observer), result in zip(planned, drive(runs), strict=True)
     ]
 
@@ -254,7 +254,7 @@ FINE = (-0.075, -0.05, -0.025, 0.025, 0.05, 0.075)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Search:
+class FactorSearch:
     """How good each constant stiffness is on the tuning roads."""
 
     cost: Mapping[float, float]
@@ -278,7 +278,7 @@ def search(
     cases: Sequence[Case] = SEARCH,
     coarse: Sequence[float] = COARSE,
     fine: Sequence[float] = FINE,
-) -> dict[bool, Search]:
+) -> dict[bool, FactorSearch]:
     """Find the best factor on the nominal stiffness, with the observer and without it.
 
     Args:
@@ -301,8 +301,8 @@ def _costs(
     drive: Drive,
     cases: Sequence[Case],
     tried: Mapping[bool, Iterable[float]],
-    known: Mapping[bool, Search] | None = None,
-) -> dict[bool, Search]:
+    known: Mapping[bool, FactorSearch] | None = None,
+) -> dict[bool, FactorSearch]:
     """Drive what is not known yet, and all costs."""
     model = MODELS[0]
     planned = [
@@ -320,7 +320,7 @@ def _costs(
         cost[observer][scale] = geometric_mean(charge(r, "lateral_rmse_m") for r in here)
         lost[observer][scale] = sum(not r["completed"] for r in here)
     return {
-        observer: Search(cost=dict(sorted(cost[observer].items())), lost=lost[observer])
+        observer: FactorSearch(cost=dict(sorted(cost[observer].items())), lost=lost[observer])
         for observer in tried
     }
 

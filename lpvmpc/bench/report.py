@@ -14,10 +14,10 @@ from lpvmpc.bench.cases import (
     GROUPS,
     MODELS,
     PLAIN,
+    DrivenCase,
+    FactorSearch,
     Measured,
     Model,
-    Row,
-    Search,
     geometric_mean,
 )
 from lpvmpc.bench.verdict import Results, bars, sentences
@@ -60,7 +60,12 @@ seeds.
 
 
 def report(
-    rows: Sequence[Row], searches: Mapping[bool, Search], *, quick: bool, jobs: int, picture: str
+    rows: Sequence[DrivenCase],
+    searches: Mapping[bool, FactorSearch],
+    *,
+    quick: bool,
+    jobs: int,
+    picture: str,
 ) -> str:
     """The report in Markdown."""
     table, found = Results(rows), bars(Results(rows))
@@ -146,14 +151,14 @@ def short(value: float) -> str:
     return f"{value:.2f}" if value < 1.0 else f"{value:.1f}" if value < 10.0 else f"{value:.0f}"
 
 
-def _lines(rows: Sequence[Row]) -> list[tuple[Model, bool]]:
+def _lines(rows: Sequence[DrivenCase]) -> list[tuple[Model, bool]]:
     """The lines of a table: models with the observer, then without, then the plain one."""
     there = {(r.model.key, r.observer) for r in rows}
     wanted = [(m, observer) for observer in (True, False) for m in (*MODELS, DRY, PLAIN)]
     return [(m, observer) for m, observer in wanted if (m.key, observer) in there]
 
 
-def group_table(rows: Sequence[Row], group: str) -> str:
+def group_table(rows: Sequence[DrivenCase], group: str) -> str:
     """Errors of all models in the cases of a group; empty where none was driven."""
     rows = [r for r in rows if r.case.group == group]
     if not rows:
@@ -199,7 +204,7 @@ def summary_table(table: Results) -> str:
     return markdown_table(title, header, body)
 
 
-def search_table(searches: Mapping[bool, Search]) -> str:
+def search_table(searches: Mapping[bool, FactorSearch]) -> str:
     """Cost of each constant stiffness that was tried."""
     scales = sorted({scale for found in searches.values() for scale in found.cost})
     body = []
@@ -240,7 +245,7 @@ COLUMNS = (
 """Metrics in benchmark.csv."""
 
 
-def as_csv(rows: Iterable[Row]) -> str:
+def as_csv(rows: Iterable[DrivenCase]) -> str:
     """Every run, one line each."""
     header = ("group", "case", "model", "observer", *COLUMNS, "step_p50_us", "step_p99_us")
     body = []
@@ -253,7 +258,7 @@ def as_csv(rows: Iterable[Row]) -> str:
 
 
 def as_json(
-    rows: Sequence[Row], searches: Mapping[bool, Search], *, quick: bool, jobs: int
+    rows: Sequence[DrivenCase], searches: Mapping[bool, FactorSearch], *, quick: bool, jobs: int
 ) -> dict[str, Any]:
     """One object: the promises by key, the sentences, the searches, every run, the conditions."""
     table = Results(rows)
@@ -286,7 +291,7 @@ def as_json(
     }  # fmt: skip
 
 
-def draw(rows: Sequence[Row]) -> Figure:
+def draw(rows: Sequence[DrivenCase]) -> Figure:
     """The picture: errors on the circuit over the share of the grip, log scale."""
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg

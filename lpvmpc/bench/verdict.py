@@ -9,7 +9,16 @@ from __future__ import annotations
 import statistics
 from collections.abc import Callable, Iterable
 
-from lpvmpc.bench.cases import DRY, GRIPS, MODELS, PLAIN, STEPS, Row, Search, geometric_mean
+from lpvmpc.bench.cases import (
+    DRY,
+    GRIPS,
+    MODELS,
+    PLAIN,
+    STEPS,
+    DrivenCase,
+    FactorSearch,
+    geometric_mean,
+)
 from lpvmpc.kit.findings import Finding, Limit
 
 MATTERS = 1.1
@@ -21,11 +30,11 @@ DIGITS = 3
 class Results:
     """The rows by case, model and observer."""
 
-    def __init__(self, rows: Iterable[Row]) -> None:
+    def __init__(self, rows: Iterable[DrivenCase]) -> None:
         self.rows = list(rows)
         self._by_key = {(r.case.key, r.model.key, r.observer): r for r in self.rows}
 
-    def get(self, case: str, model: str, observer: bool = True) -> Row | None:
+    def get(self, case: str, model: str, observer: bool = True) -> DrivenCase | None:
         """A row; None where it was not driven."""
         return self._by_key.get((case, model, observer))
 
@@ -39,7 +48,7 @@ class Results:
         row = self.get(case, model, observer)
         return None if row is None else row.largest
 
-    def constant(self, case: str, observer: bool = True) -> Row | None:
+    def constant(self, case: str, observer: bool = True) -> DrivenCase | None:
         """The better of the two constants in a case: the nominal one may suit an easy road."""
         rows = [self.get(case, key, observer) for key in ("constant", "constant-best")]
         known = [row for row in rows if row is not None]
@@ -50,7 +59,7 @@ class Results:
         constant, row = self.constant(case, observer), self.get(case, model, observer)
         return None if constant is None or row is None else constant.rmse / row.rmse
 
-    def of(self, model: str, observer: bool) -> list[Row]:
+    def of(self, model: str, observer: bool) -> list[DrivenCase]:
         """All rows of a model in which it was not made wrong, in their order."""
         return [
             r for r in self.rows
@@ -157,7 +166,7 @@ def _beside_the_oracle(table: Results) -> Iterable[Finding]:
 # Sentences ----------------------------------------------------------------------------------------
 
 
-def sentences(table: Results, searches: dict[bool, Search]) -> list[str]:
+def sentences(table: Results, searches: dict[bool, FactorSearch]) -> list[str]:
     """What the numbers say, one statement each."""
     told: list[Callable[[], str | None]] = [
         lambda: _best_constant(searches),
@@ -175,7 +184,7 @@ def sentences(table: Results, searches: dict[bool, Search]) -> list[str]:
     return [sentence for tell in told if (sentence := tell()) is not None]
 
 
-def _best_constant(searches: dict[bool, Search]) -> str:
+def _best_constant(searches: dict[bool, FactorSearch]) -> str:
     parts = []
     for observer, found in sorted(searches.items(), reverse=True):
         at_end = ", at the end of what was tried," if found.at_an_end else ""

@@ -23,7 +23,7 @@ from lpvmpc.kit.report import write_report
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from lpvmpc.bench.cases import Row, Search
+    from lpvmpc.bench.cases import DrivenCase, FactorSearch
     from lpvmpc.sim.batch import Run
 
 NAME = "benchmark"
@@ -125,7 +125,7 @@ def driver(jobs: int, cache: Path, progress: Progress) -> Any:
     return under
 
 
-def summary(rows: Sequence[Row], searches: Mapping[bool, Search]) -> str:
+def summary(rows: Sequence[DrivenCase], searches: Mapping[bool, FactorSearch]) -> str:
     """What is printed, at 80 columns: the summary, the promises, the sentences."""
     from lpvmpc.bench import report
     from lpvmpc.bench.verdict import Results, bars, sentences

@@ -92,7 +92,7 @@ def tune(options: Options) -> int:
     print(f"Tuning {task.controller} on {', '.join(task.scenarios)}: "
           f"at most {task.budget} evaluations, {jobs} jobs, seed {task.seed}.")  # fmt: skip
     try:
-        with workers(jobs, options.backend, options.address) as pool, Table() as table:
+        with workers(jobs, options.backend, options.address) as pool, GenerationTable() as table:
             tuned = tuning.tune(
                 task,
                 map=pool.map,
@@ -116,7 +116,7 @@ def tune(options: Options) -> int:
     return cli.DONE
 
 
-class Table:
+class GenerationTable:
     """The generations as they come: a live table on a terminal, lines elsewhere."""
 
     COLUMNS = ("search", "generation", "best", "mean", "worst", "calls", "s")
@@ -127,7 +127,7 @@ class Table:
         self.told = 0
         self.live: Any = None
 
-    def __enter__(self) -> Table:
+    def __enter__(self) -> GenerationTable:
         if sys.stdout.isatty():
             from rich.live import Live
 

@@ -190,7 +190,7 @@ def _check_plan(left: dict[str, Any], facts: dict[str, Any], where: Path) -> Non
 # One shard ---------------------------------------------------------------------------------------
 
 
-class Driver:
+class SlotFiller:
     """Fills slots; keeps the plant from one to the next."""
 
     def __init__(self, plan: Plan):
@@ -260,24 +260,24 @@ def _shard_file(folder: Path, shard: int) -> Path:
 
 def _work(plan: Plan, folder: Path, facts: dict[str, Any], shard: int) -> int:
     """Make a shard, in this process or in a worker; gives its number."""
-    write_shard(_driver(plan), folder, shard, facts)
+    write_shard(_filler(plan), folder, shard, facts)
     return shard
 
 
 @lru_cache(maxsize=1)  # compiling and loading take as long as a shard
-def _driver(plan: Plan) -> Driver:
-    """The driver of this process."""
-    return Driver(plan)
+def _filler(plan: Plan) -> SlotFiller:
+    """The filler of this process."""
+    return SlotFiller(plan)
 
 
-def write_shard(driver: Driver, folder: Path, shard: int, facts: dict[str, Any]) -> None:
+def write_shard(filler: SlotFiller, folder: Path, shard: int, facts: dict[str, Any]) -> None:
     """Fill the slots of a shard and write it, whole or not at all."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    plan = driver.plan
+    plan = filler.plan
     first = shard * SLOTS_PER_SHARD
-    slots = [driver.slot(i) for i in range(first, min(first + SLOTS_PER_SHARD, plan.slots))]
+    slots = [filler.slot(i) for i in range(first, min(first + SLOTS_PER_SHARD, plan.slots))]
     arrays = [np.concatenate([s[name] for s in slots]) for name in dataset.COLUMNS]
     fields = dataset.schema().with_metadata(dataset.metadata({**facts, "shard": shard}))
     table = pa.table([pa.array(a) for a in arrays], schema=fields).slice(0, plan.rows_of(shard))

@@ -77,7 +77,7 @@ ALPHA_SMALL, ALPHA_LARGE = 0.004, 0.012
 """Below the first slip angle the label is the slope, above the second the secant [rad]."""
 
 
-class Row(NamedTuple):
+class Instant(NamedTuple):
     """What is kept of one control instant."""
 
     state: State
@@ -147,7 +147,7 @@ def _slopes(axles, outputs, friction, local, at_zero):
 
 
 def table_of(
-    rows: Sequence[Row], run: int, kind: str, *, model: mujoco.MjModel, friction: float,
+    rows: Sequence[Instant], run: int, kind: str, *, model: mujoco.MjModel, friction: float,
     mass: float, Ts: float,
 ) -> dict[str, npt.NDArray[Any]]:  # fmt: skip
     """Columns of one run.

@@ -19,7 +19,7 @@ import numpy as np
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.errors import OptionError
 from lpvmpc.interface import Command, State, declared
-from lpvmpc.learn.dataset import Row
+from lpvmpc.learn.dataset import Instant
 from lpvmpc.plant import callbacks
 from lpvmpc.plant.mjcf import packaged_car
 from lpvmpc.plant.plant import Plant
@@ -315,7 +315,7 @@ KINDS: dict[str, Draw] = {
 
 def drive(
     plant: Plant, kind: str, rng: np.random.Generator, *, friction: float, severity: float = 1.0
-) -> list[Row]:
+) -> list[Instant]:
     """Draw a manoeuvre and drive it until its end, or until the car leaves the domain.
 
     Args:
@@ -339,7 +339,7 @@ def drive(
     wind = _gusts(rng, plant.Ts)
     plant.friction = friction
     state = plant.reset(start.x, start.y, start.psi, start.vx, trim=False)
-    rows: list[Row] = []
+    rows: list[Instant] = []
     for k in range(-LEAD_IN, ROWS):
         blow = wind[k + LEAD_IN]
         air = blow * math.sin(state.psi), -blow * math.cos(state.psi)
@@ -349,7 +349,7 @@ def drive(
             break
         if k >= 0:
             rate, drive_ax = float(plant.data.qvel[3]), float(plant.data.act[1])
-            rows.append(Row(state, outputs, blow, plant.roll, rate, drive_ax))
+            rows.append(Instant(state, outputs, blow, plant.roll, rate, drive_ax))
     return rows
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lpvmpc.kit.files import into, write_picture
-from lpvmpc.paper.measurements import Evidence, Row
+from lpvmpc.paper.measurements import DrivenEntry, Evidence
 from lpvmpc.paper.runs import LMPC, OURS, PLAIN
 from lpvmpc.picture import path_figure
 from lpvmpc.picture.figures import PAPER as PRINTED
@@ -242,7 +242,7 @@ def computation_time(e: Evidence) -> Figure:
 @styled
 def ablation(e: Evidence) -> Figure:
     """Lateral RMSE on each road, from the printed formulas to the full controller."""
-    lines: list[tuple[str, list[Row]]] = []
+    lines: list[tuple[str, list[DrivenEntry]]] = []
     for group in ("printed", "corrected"):
         for entry in e.entries(group):
             rows = [r for r in e.rows if r.entry.group == group and r.entry.key == entry.key]

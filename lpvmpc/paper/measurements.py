@@ -15,7 +15,7 @@ from lpvmpc.control.stiffness.network_file import SECANT_INPUTS, load_weights
 from lpvmpc.learn.dataset import secant_stiffness
 from lpvmpc.learn.scores import r2
 from lpvmpc.paper import records, runs, steering_at_rest
-from lpvmpc.paper.runs import Case, Entry, Equipment
+from lpvmpc.paper.runs import Entry, Equipment, RoadCase
 from lpvmpc.plant.mjcf import compile_model, tires
 from lpvmpc.sim import batch
 from lpvmpc.tune import sphere
@@ -35,12 +35,12 @@ STIFFNESS_CASE = "circuit-0.87"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row(Measured):
+class DrivenEntry(Measured):
     """One cell of the tables: an entry on a road."""
 
     entry: Entry
     """Who drove."""
-    case: Case
+    case: RoadCase
     """What was driven."""
 
     def get(self, key: str) -> float | None:
@@ -82,13 +82,13 @@ class Evidence:
     """What was made anew: weights, networks."""
     equipment: Equipment
     """Weights and networks."""
-    rows: Sequence[Row]
+    rows: Sequence[DrivenEntry]
     """All closed loops."""
     driven: int
     """How many of them are different."""
     kept: int
     """How many of those an earlier call had kept."""
-    rests: Sequence[steering_at_rest.Rest]
+    rests: Sequence[steering_at_rest.GustAnswer]
     """What the steering did after gusts."""
     logs: Mapping[str, Log]
     """The paper's road, full wind, by controller: ours and the baseline."""
@@ -106,16 +106,18 @@ class Evidence:
     """Sentences about what is not there."""
     seconds: float = 0.0
     """Time that all of it took [s]."""
-    _index: dict[tuple[str, str, str], Row] = field(default_factory=dict, init=False, repr=False)
+    _index: dict[tuple[str, str, str], DrivenEntry] = field(
+        default_factory=dict, init=False, repr=False
+    )
 
     def __post_init__(self) -> None:
         self._index.update({(r.entry.group, r.entry.key, r.case.key): r for r in self.rows})
 
-    def get(self, group: str, key: str, case: str) -> Row | None:
+    def get(self, group: str, key: str, case: str) -> DrivenEntry | None:
         """A row; None where it was not driven."""
         return self._index.get((group, key, case))
 
-    def cases(self, group: str) -> list[Case]:
+    def cases(self, group: str) -> list[RoadCase]:
         """The roads of a group, in their order."""
         return list({r.case.key: r.case for r in self.rows if r.entry.group == group}.values())
 
@@ -128,8 +130,8 @@ class Evidence:
 
 
 def drive(
-    entries: Sequence[Entry], cases: Sequence[Case], *, jobs: int, cache: Path, say: Say
-) -> tuple[list[Row], int, int]:
+    entries: Sequence[Entry], cases: Sequence[RoadCase], *, jobs: int, cache: Path, say: Say
+) -> tuple[list[DrivenEntry], int, int]:
     """Drive every entry on its roads.
 
     Returns:
@@ -150,7 +152,7 @@ def drive(
     found = batch.drive_all(unique, jobs=jobs, cache=cache, progress=progress)
     results = {run.key(): result for run, result in zip(unique, found, strict=True)}
     rows = [
-        Row(entry=entry, case=case, result=results[run.key()])
+        DrivenEntry(entry=entry, case=case, result=results[run.key()])
         for (entry, case), run in zip(planned, planned_runs, strict=True)
     ]
     return rows, len(unique), kept[0]
@@ -165,7 +167,9 @@ def on_the_papers_road(equipment: Equipment) -> dict[str, Log]:
     }
 
 
-def gusts(equipment: Equipment, speeds: Sequence[float], say: Say) -> list[steering_at_rest.Rest]:
+def gusts(
+    equipment: Equipment, speeds: Sequence[float], say: Say
+) -> list[steering_at_rest.GustAnswer]:
     """Send a gust at every speed, straight on and on a circle."""
     from lpvmpc.plant.plant import Plant
     from lpvmpc.sim.loop import simulate
@@ -184,7 +188,7 @@ def gusts(equipment: Equipment, speeds: Sequence[float], say: Say) -> list[steer
 # Stiffness ----------------------------------------------------------------------------------------
 
 
-def stiffness(equipment: Equipment, case: Case) -> Stiffness:
+def stiffness(equipment: Equipment, case: RoadCase) -> Stiffness:
     """The axles' secant stiffness along a run of ours, and what both networks say of it."""
     log = batch.drive(runs.run_of(case, runs.OURS, equipment.options(runs.OURS)))
     alpha, true = labels(log)

@@ -13,9 +13,9 @@ from lpvmpc.kit.markdown import markdown_table
 from lpvmpc.kit.provenance import machine
 from lpvmpc.kit.report import csv_text, finite, record, versions_line
 from lpvmpc.paper import findings, printed_numbers, sentences
-from lpvmpc.paper.measurements import Evidence, Row
+from lpvmpc.paper.measurements import DrivenEntry, Evidence
 from lpvmpc.paper.printed_numbers import Number, Value
-from lpvmpc.paper.runs import GROUPS, LMPC, OURS, PAPERS, PLAIN, Case
+from lpvmpc.paper.runs import GROUPS, LMPC, OURS, PAPERS, PLAIN, RoadCase
 
 TITLE = "The paper's results beside ours"
 DEFINITIONS = """\
@@ -218,7 +218,7 @@ def controllers(e: Evidence) -> Iterable[str]:
     ):
 
         def one(
-            row: Row | None, key: str = key, scale: float = scale, form: str = form
+            row: DrivenEntry | None, key: str = key, scale: float = scale, form: str = form
         ) -> str:
             value = None if row is None else row.get(key)
             return cell(row) if value is None else format(scale * value, form)
@@ -247,10 +247,10 @@ def times_table(e: Evidence) -> str:
 
 
 def case_table(
-    e: Evidence, group: str, title: str, of: Callable[[Row | None], str], text: bool = False
+    e: Evidence, group: str, title: str, of: Callable[[DrivenEntry | None], str], text: bool = False
 ) -> str:
     """A group's entries over its roads; the entries' texts too, where asked for."""
-    cases: list[Case] = e.cases(group)
+    cases: list[RoadCase] = e.cases(group)
     body = []
     for entry in e.entries(group):
         name = [entry.key, entry.text] if text else [entry.key]

@@ -26,7 +26,7 @@ AUTHORS_WIND = 1.0 / 3.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Case:
+class RoadCase:
     """A road and how it is driven."""
 
     key: str
@@ -42,17 +42,17 @@ class Case:
 
 
 CASES = (
-    Case(key="paper", title="paper", scenario="paper", ablated=True),
-    Case(key="paper-third", title="paper, wind / 3", scenario="paper",
+    RoadCase(key="paper", title="paper", scenario="paper", ablated=True),
+    RoadCase(key="paper-third", title="paper, wind / 3", scenario="paper",
          options={"wind_scale": AUTHORS_WIND}),
-    Case(key="paper-loop", title="paper-loop", scenario="paper-loop", ablated=True),
-    Case(key="double-lane-change", title="lane change", scenario="double-lane-change",
+    RoadCase(key="paper-loop", title="paper-loop", scenario="paper-loop", ablated=True),
+    RoadCase(key="double-lane-change", title="lane change", scenario="double-lane-change",
          ablated=True),
-    Case(key="slalom", title="slalom", scenario="slalom"),
-    Case(key="skidpad", title="skidpad", scenario="skidpad"),
-    Case(key="circuit-0.5", title="circuit 50 %", scenario="circuit", options={"grip": 0.5},
+    RoadCase(key="slalom", title="slalom", scenario="slalom"),
+    RoadCase(key="skidpad", title="skidpad", scenario="skidpad"),
+    RoadCase(key="circuit-0.5", title="circuit 50 %", scenario="circuit", options={"grip": 0.5},
          ablated=True),
-    Case(key="circuit-0.87", title="circuit 87 %", scenario="circuit", options={"grip": 0.87},
+    RoadCase(key="circuit-0.87", title="circuit 87 %", scenario="circuit", options={"grip": 0.87},
          ablated=True),
 )  # fmt: skip
 """All roads; none of them tunes the weights."""
@@ -108,7 +108,7 @@ class Equipment:
         return options
 
 
-def run_of(case: Case, name: str, options: Mapping[str, Any], label: str = "") -> Run:
+def run_of(case: RoadCase, name: str, options: Mapping[str, Any], label: str = "") -> Run:
     """One closed loop on a road."""
     return Run(
         label=f"{case.key} {label or name}",
@@ -252,7 +252,7 @@ def _without(equipment: Equipment) -> Iterable[Entry]:
         yield Entry(group=group, key=key, text=text, controller=OURS, options=options)
 
 
-def cases_of(entry: Entry, cases: Sequence[Case]) -> list[Case]:
+def cases_of(entry: Entry, cases: Sequence[RoadCase]) -> list[RoadCase]:
     """The roads that an entry drives."""
     return [case for case in cases if case.ablated or entry.group not in ABLATION]
 

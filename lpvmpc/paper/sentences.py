@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 from lpvmpc.bench.cases import geometric_mean
 from lpvmpc.control.registry import CONTROLLERS
-from lpvmpc.paper.measurements import Evidence, Row
+from lpvmpc.paper.measurements import DrivenEntry, Evidence
 from lpvmpc.paper.printed_formulas import SLIPS
 from lpvmpc.paper.printed_numbers import PAPER_OURS, PAPER_RATIO, ratio
 from lpvmpc.paper.runs import OURS, PAPERS
@@ -199,11 +199,11 @@ def step_times(e: Evidence, which: str = "p50") -> dict[str, float]:
     return found
 
 
-def _ablated(e: Evidence, group: str, key: str) -> list[Row]:
+def _ablated(e: Evidence, group: str, key: str) -> list[DrivenEntry]:
     return [row for row in e.rows if (row.entry.group, row.entry.key) == (group, key)]
 
 
-def _factor(worse: Sequence[Row], better: Sequence[Row]) -> float:
+def _factor(worse: Sequence[DrivenEntry], better: Sequence[DrivenEntry]) -> float:
     """Ratio of the geometric means of the lateral RMSE, lost cars charged."""
     return geometric_mean(r.rmse for r in worse) / geometric_mean(r.rmse for r in better)
 

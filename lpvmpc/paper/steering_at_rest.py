@@ -29,7 +29,7 @@ AY, TIGHTEST = 2.0, 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rest:
+class GustAnswer:
     """What the steering did."""
 
     vx: float
@@ -62,10 +62,10 @@ def scenario(vx: float, turning: bool) -> Scenario:
     )
 
 
-def of(log: Log, vx: float, turning: bool) -> Rest:
+def of(log: Log, vx: float, turning: bool) -> GustAnswer:
     """Judge a run of `scenario`."""
     t, delta = log.columns["t_s"], log.columns["delta_cmd_rad"]
-    return Rest(
+    return GustAnswer(
         vx=vx,
         turning=turning,
         completed=bool(log.meta["completed"]),

@@ -42,7 +42,7 @@ MODES = ("heave", "pitch", "roll")
 
 
 @dataclass(frozen=True)
-class Rest:
+class Standing:
     """A car left alone on its brakes."""
 
     time: Array
@@ -127,7 +127,7 @@ def drive(plant: Plant, seconds: float, command: Command = BRAKE) -> Any:
     return state
 
 
-def rest(plant: Plant, command: Command, seconds: float = 20.0) -> Rest:
+def rest(plant: Plant, command: Command, seconds: float = 20.0) -> Standing:
     """Let a car stand: 3 s to settle, then `seconds` that count."""
     plant.reset(trim=False)
     start = drive(plant, 3.0, command)
@@ -138,7 +138,7 @@ def rest(plant: Plant, command: Command, seconds: float = 20.0) -> Rest:
         end = plant.step(command)
         drift[k] = math.hypot(end.x - start.x, end.y - start.y)
     times: Array = plant.Ts * np.arange(1.0, count + 1.0)
-    return Rest(times, drift, end.psi - start.psi, plant.wheels.Fz)
+    return Standing(times, drift, end.psi - start.psi, plant.wheels.Fz)
 
 
 # --- verdicts ---
@@ -187,7 +187,7 @@ def _loads(result: StudyResult, car: CarUnderTest) -> None:
         )  # fmt: skip
 
 
-def _slopes(result: StudyResult, car: CarUnderTest) -> dict[str, Rest]:
+def _slopes(result: StudyResult, car: CarUnderTest) -> dict[str, Standing]:
     p = car.params
     rests = {"flat": rest(car.plant(), Command(0.0, 0.0))}
     for name, direction in DIRECTIONS.items():
@@ -293,7 +293,7 @@ def frequency_and_damping(poles: Array) -> tuple[Array, Array]:
 
 
 @plots.styled
-def _draw_rest(rests: dict[str, Rest], car: CarUnderTest) -> Any:
+def _draw_rest(rests: dict[str, Standing], car: CarUnderTest) -> Any:
     figure, (left, right) = plots.axes(1, 2, height=2.7)
     colours = (plots.BLUE, plots.ORANGE, plots.GREEN, plots.PINK)
     for (name, stand), colour in zip(rests.items(), colours, strict=True):
