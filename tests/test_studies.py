@@ -176,7 +176,8 @@ def test_a_broken_car_keeps_the_expectations_of_the_sound_one(car):
     for name in BROKEN:
         broken = break_car(name)
         assert broken.params == car.params, name
-        assert all((a == b).all() for a, b in zip(broken.tires, car.tires, strict=True)), name
+        pairs = zip(broken.coefficients, car.coefficients, strict=True)
+        assert all((a == b).all() for a, b in pairs), name
         assert parameters(broken.documented) == car.params, name
 
 
@@ -210,7 +211,7 @@ def test_golden_values_are_those_of_the_package_they_name():
 
 def test_golden_values_belong_to_the_cars_tires(car):
     stored = golden_tire.read()["coefficients"]
-    for name, c in zip(("front", "rear"), car.tires, strict=True):
+    for name, c in zip(("front", "rear"), car.coefficients, strict=True):
         # else: python -m lpvmpc.studies.reference.golden_tire
         assert (mf.coefficients(stored[name]) == c).all()
 
@@ -312,4 +313,4 @@ def test_a_plant_of_the_car_is_a_plant(car):
     plant = car.plant(Ts=0.01, timestep=0.0005, friction=0.5)
     assert isinstance(plant, Plant) and plant.nstep == 20
     plant.model.numeric("tire_f").data[mf.QDZ1] = 7.0
-    assert car.plant_tires()[0][mf.QDZ1] != 7.0  # each plant has its own copy
+    assert car.plant_coefficients()[0][mf.QDZ1] != 7.0  # each plant has its own copy

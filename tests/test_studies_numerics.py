@@ -42,7 +42,7 @@ def test_only_what_alternates_is_chatter():
 
 def test_an_undamped_wheel_chatters_at_two_over_its_frequency():
     car = CarUnderTest.packaged()
-    p, c = car.params, car.tires[0]
+    p, c = car.params, car.coefficients[0]
 
     def growth(h):
         return chatter.spin_growth(p, c, np.array([2.5, 0.0]), 0.0, h)

@@ -148,7 +148,7 @@ def slip_angles(vx, vy, r, delta, car):
 
 
 @njit(cache=True)
-def derivative(x, u, kappa, tires, car):
+def derivative(x, u, kappa, axle_forces, car):
     """Time derivative of the nonlinear single-track model with servo lags, relaxation and roll.
 
     vx' = a + r vy - (Fyf sin(delta) + Fd) / m,   Fd = c_roll m g + k_drag vx^2
@@ -166,7 +166,7 @@ def derivative(x, u, kappa, tires, car):
         x: State (vx, vy, r, ey, epsi, delta, a, alpha_f, alpha_r, phi, p), shape (11,).
         u: Command (delta [rad], ax [m/s2]), shape (2,).
         kappa: Path curvature [1/m].
-        tires: Affine axle forces (Cf [N/rad], F0f [N], Cr, F0r), shape (4,).
+        axle_forces: Affine axle forces (Cf [N/rad], F0f [N], Cr, F0r), shape (4,).
         car: `Bicycle` constants.
 
     Returns:
@@ -192,8 +192,8 @@ def derivative(x, u, kappa, tires, car):
         dx[AF] = vx / car.sigma_f * (alpha_f - x[AF])
         dx[AR] = vx / car.sigma_r * (alpha_r - x[AR])
         alpha_f, alpha_r = x[AF], x[AR]
-    Fyf = tires[0] * alpha_f + tires[1]
-    Fyr = tires[2] * alpha_r + tires[3]
+    Fyf = axle_forces[0] * alpha_f + axle_forces[1]
+    Fyr = axle_forces[2] * alpha_r + axle_forces[3]
     drag = car.c_roll * car.m * GRAVITY + car.k_drag * vx * vx
     dx[VX] = a + r * vy - (Fyf * np.sin(delta) + drag) / car.m
     dx[VY] = (Fyf * np.cos(delta) + Fyr) / car.m - r * vx
@@ -224,7 +224,7 @@ def _atanc(z):
 
 
 @njit(cache=True)
-def lpv(x, kappa, tires, car, form, A_out, B_out, c_out):
+def lpv(x, kappa, axle_forces, car, form, A_out, B_out, c_out):
     """Matrices of the LPV form x' = A(rho) x + B(rho) u + c(rho), written in place.
 
     At the scheduling point rho = (x, kappa) the LPV form equals the nonlinear model exactly.
@@ -235,7 +235,7 @@ def lpv(x, kappa, tires, car, form, A_out, B_out, c_out):
         x: Scheduling state (vx, vy, r, ey, epsi, delta, a, alpha_f, alpha_r, phi, p),
             shape (11,).
         kappa: Path curvature [1/m].
-        tires: Affine axle forces (Cf, F0f, Cr, F0r) [N/rad, N], shape (4,).
+        axle_forces: Affine axle forces (Cf, F0f, Cr, F0r) [N/rad, N], shape (4,).
         car: `Bicycle` constants.
         form: CORRECTED, or PRINTED for the error row as printed (A41 = sin, A45 = 0), which an
             ablation shows.
@@ -247,7 +247,7 @@ def lpv(x, kappa, tires, car, form, A_out, B_out, c_out):
     """
     vx = max(x[VX], car.vx_min)
     vy, r, ey, epsi, delta = x[VY], x[R], x[EY], x[EPSI], x[DELTA]
-    Cf, F0f, Cr, F0r = tires[0], tires[1], tires[2], tires[3]
+    Cf, F0f, Cr, F0r = axle_forces[0], axle_forces[1], axle_forces[2], axle_forces[3]
     sin_d, cos_d = np.sin(delta), np.cos(delta)
     rolls = car.K_phi > 0.0
     sway = car.h * x[P] if rolls else 0.0
@@ -318,7 +318,7 @@ def lpv(x, kappa, tires, car, form, A_out, B_out, c_out):
 
 
 @njit(cache=True)
-def steady_state(vx, kappa, tires, disturbance, car, x_out):
+def steady_state(vx, kappa, axle_forces, disturbance, car, x_out):
     """State in which the car follows a curve without error, in place.
 
     With r = kappa vx, ey = 0 and a velocity along the path (epsi = -atan(vy / vx)), solves
@@ -328,7 +328,7 @@ def steady_state(vx, kappa, tires, disturbance, car, x_out):
     Args:
         vx: Speed [m/s].
         kappa: Curvature [1/m].
-        tires: Affine axle forces (Cf, F0f, Cr, F0r) [N/rad, N], shape (4,).
+        axle_forces: Affine axle forces (Cf, F0f, Cr, F0r) [N/rad, N], shape (4,).
         disturbance: Unmodelled accelerations of (vx, vy, r) [m/s2, m/s2, rad/s2], shape (3,).
         car: `Bicycle` constants.
         x_out: Receives (vx, vy, r, ey, epsi, delta, a, alpha_f, alpha_r, phi, p), shape (11,).
@@ -336,7 +336,7 @@ def steady_state(vx, kappa, tires, disturbance, car, x_out):
     Source: Rajamani, section 3.2, with an added disturbance; docs/derivations.md.
     """
     vx = max(vx, car.vx_min)
-    Cf, F0f, Cr, F0r = tires[0], tires[1], tires[2], tires[3]
+    Cf, F0f, Cr, F0r = axle_forces[0], axle_forces[1], axle_forces[2], axle_forces[3]
     vy, delta, alpha_f, alpha_r = 0.0, 0.0, 0.0, 0.0
     for _ in range(3):
         # along the path: the course is psi + beta, and ds/dt = vx / cos(beta)

@@ -62,13 +62,13 @@ DT, SIGNS, BRACKET, DRAG, BOUNDS, TERMINAL, CURVATURE, ERROR = range(len(SLIPS))
 
 
 @njit(cache=True)
-def matrices(x, kappa, tires, car, slips, A_out, B_out, c_out):
+def matrices(x, kappa, axle_forces, car, slips, A_out, B_out, c_out):
     """Matrices of the paper's LPV form with some slips, written in place.
 
     Args:
         x: Scheduling state, shape (11,), as in `bicycle.lpv`.
         kappa: Path curvature [1/m].
-        tires: Affine axle forces (Cf, F0f, Cr, F0r) [N/rad, N], shape (4,).
+        axle_forces: Affine axle forces (Cf, F0f, Cr, F0r) [N/rad, N], shape (4,).
         car: `Bicycle` constants, simplified: no lags, no relaxation, no roll.
         slips: Which slips, in the order of `SLIPS`, shape (8,).
         A_out: Receives A, shape (11, 11).
@@ -77,13 +77,13 @@ def matrices(x, kappa, tires, car, slips, A_out, B_out, c_out):
 
     Source: Kebbati et al., eqs. 7-8; docs/derivations.md, D1.
     """
-    lpv(x, kappa, tires, car, PRINTED if slips[ERROR] else CORRECTED, A_out, B_out, c_out)
+    lpv(x, kappa, axle_forces, car, PRINTED if slips[ERROR] else CORRECTED, A_out, B_out, c_out)
     vx = max(x[VX], car.vx_min)
     if slips[SIGNS]:
         B_out[VY, 0] = -B_out[VY, 0]
         B_out[R, 0] = -B_out[R, 0]
     if slips[BRACKET]:
-        moment = car.lf * tires[0] * np.cos(x[DELTA]) + car.lr * tires[2]
+        moment = car.lf * axle_forces[0] * np.cos(x[DELTA]) + car.lr * axle_forces[2]
         A_out[R, VY] = -moment / (car.Iz * vx)
     if slips[DRAG]:
         A_out[VX, VX] = -MU * GRAVITY / vx - car.k_drag * vx / car.m

@@ -102,7 +102,7 @@ class SingleTrack:
         self.p, self.law = p, law
         self.car = Bicycle.of(p)._replace(tau_delta=0.0, tau_ax=0.0)
 
-    def tires(self, alpha_f: float, alpha_r: float, phi: float) -> Array:
+    def axle_forces(self, alpha_f: float, alpha_r: float, phi: float) -> Array:
         """Affine axle forces (Cf, F0f, Cr, F0r) for `bicycle.derivative`."""
         if self.law is None:
             return np.array([self.p.Cf, 0.0, self.p.Cr, 0.0])
@@ -114,8 +114,8 @@ class SingleTrack:
 
     def derivative(self, x: Array, delta: float) -> Array:
         """Of the eleven states of `bicycle`, the speed held."""
-        tires = self.tires(x[bicycle.AF], x[bicycle.AR], x[bicycle.PHI])
-        dx: Array = bicycle.derivative(x, np.array([delta, 0.0]), 0.0, tires, self.car)
+        forces = self.axle_forces(x[bicycle.AF], x[bicycle.AR], x[bicycle.PHI])
+        dx: Array = bicycle.derivative(x, np.array([delta, 0.0]), 0.0, forces, self.car)
         dx[bicycle.VX] = 0.0
         return dx
 

@@ -222,8 +222,8 @@ def _energy(car: CarUnderTest, result: StudyResult) -> None:
     books = energy.ledger(plant, recording)
     throughput = books.work("drive")
     residual = books.residual()
-    sigma = mf.relaxation_lengths(car.tires[0], car.tires[0][mf.FNOMIN])[0]
-    stiffness = mf.slip_stiffness(car.tires[0], car.tires[0][mf.FNOMIN]) / sigma
+    sigma = mf.relaxation_lengths(car.coefficients[0], car.coefficients[0][mf.FNOMIN])[0]
+    stiffness = mf.slip_stiffness(car.coefficients[0], car.coefficients[0][mf.FNOMIN]) / sigma
     omega = car.params.R_w * math.sqrt(stiffness / car.params.J_w)
     result.find("lap driven", float(log.meta["completed"]), "", Limit.at_least(1.0),
                 "a balance over a lap needs the lap")  # fmt: skip

@@ -2,7 +2,7 @@
 
 A study is a module of this package with one function `run(car: CarUnderTest) -> StudyResult`. It
 takes every plant from the car, which may be broken on purpose, and every expectation from the
-documented car: `car.params` and `car.tires` are those of the packaged models/vehicle.xml.
+documented car: `car.params` and `car.coefficients` are those of the packaged models/vehicle.xml.
 """
 
 from __future__ import annotations
@@ -141,7 +141,7 @@ class CarUnderTest:
     """The compiled documented car, to read what `params` does not hold; not to be changed."""
     params: VehicleParams
     """Parameters of the documented car."""
-    tires: tuple[Array, Array]
+    coefficients: tuple[Array, Array]
     """Magic Formula coefficients of the documented front and rear tires."""
     plant_class: Callable[..., Plant] = Plant
     """`Plant`, or a subclass that steps otherwise."""
@@ -154,7 +154,7 @@ class CarUnderTest:
             model=copy.copy(model),
             documented=model,
             params=parameters(model),
-            tires=_coefficients(model),
+            coefficients=_coefficients(model),
         )
 
     def plant(self, **options: Any) -> Plant:
@@ -165,7 +165,7 @@ class CarUnderTest:
         """
         return self.plant_class(self.model, **options)
 
-    def plant_tires(self) -> tuple[Array, Array]:
+    def plant_coefficients(self) -> tuple[Array, Array]:
         """Coefficients of the tires on the plants' model, front and rear: what is to be tested."""
         return _coefficients(self.plant().model)
 

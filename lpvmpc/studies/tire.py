@@ -48,8 +48,8 @@ AXLES = ("front", "rear")
 def run(car: CarUnderTest) -> StudyResult:
     """Study the tire."""
     result = StudyResult("tire", METHOD)
-    under_test = dict(zip(AXLES, car.plant_tires(), strict=True))
-    documented = dict(zip(AXLES, car.tires, strict=True))
+    under_test = dict(zip(AXLES, car.plant_coefficients(), strict=True))
+    documented = dict(zip(AXLES, car.coefficients, strict=True))
     bench = Bench(car.plant())
     _symmetry(result, under_test)
     _slopes(result, under_test, documented, car)

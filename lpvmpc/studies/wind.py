@@ -219,8 +219,8 @@ def linear_response(
     A_full, B, c = np.zeros((bicycle.NX, bicycle.NX)), np.zeros((bicycle.NX, 2)), np.zeros(11)
     point = np.zeros(bicycle.NX)
     point[bicycle.VX] = vx
-    tires = np.array([p.Cf, 0.0, p.Cr, 0.0])
-    bicycle.lpv(point, 0.0, tires, Bicycle.of(p), bicycle.CORRECTED, A_full, B, c)
+    axle_forces = np.array([p.Cf, 0.0, p.Cr, 0.0])
+    bicycle.lpv(point, 0.0, axle_forces, Bicycle.of(p), bicycle.CORRECTED, A_full, B, c)
     rows = [bicycle.VY, bicycle.R, bicycle.AF, bicycle.AR, bicycle.PHI, bicycle.P]
     A = A_full[np.ix_(rows, rows)]
 

@@ -81,7 +81,7 @@ def locking_command(car: CarUnderTest) -> tuple[float, float]:
         a = command + (p.c_roll * p.m * GRAVITY + drag) / p.m_eff
         Fz = (p.m * GRAVITY * p.lr + p.m * a * p.h) / p.wheelbase
         Fx = p.brake_front * p.m_eff * command + p.c_roll * Fz - 2.0 * p.J_w / p.R_w**2 * a
-        limit = mf.peak_friction(car.tires[0], 0.5 * Fz)[0] * Fz
+        limit = mf.peak_friction(car.coefficients[0], 0.5 * Fz)[0] * Fz
         low, high = (command, high) if Fx < limit else (low, command)
     return command, a
 
@@ -94,7 +94,7 @@ def sliding_deceleration(car: CarUnderTest) -> float:
         front = (p.m * GRAVITY * p.lr + p.m * a * p.h) / p.wheelbase
         forces = [
             2.0 * mf.forces(c, -1.0, 0.0, 0.5 * load, 1.0)[0]
-            for c, load in zip(car.tires, (front, p.m * GRAVITY - front), strict=True)
+            for c, load in zip(car.coefficients, (front, p.m * GRAVITY - front), strict=True)
         ]
         a = -sum(forces) / p.m
     return a

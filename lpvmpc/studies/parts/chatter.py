@@ -128,7 +128,7 @@ def stop(car: CarUnderTest, h: float) -> float:
 
 def judge(car: CarUnderTest, result: StudyResult) -> None:
     """Seek the onset at all speeds and compare it with the closed form."""
-    p, c = car.params, car.tires[0]
+    p, c = car.params, car.coefficients[0]
     low_speed = np.array(car.documented.numeric("low_speed").data)
     starter = car.plant(Ts=DEFAULT)
     onsets, forms = [], []
