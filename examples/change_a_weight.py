@@ -21,4 +21,4 @@ if __name__ == "__main__":
         log = simulate(plant, load_controller("lpv-mpc", weights=weights), scenario)
         rate = np.diff(log.columns["delta_cmd_rad"]) / plant.Ts
         print(f"{weights.q_ey:9.3f} {1e3 * metrics(log)['lateral_rmse_m']:15.2f} mm "
-              f"{np.sqrt(np.mean(rate**2)):24.4f} rad/s")  # fmt: skip
+              f"{np.sqrt(np.mean(rate**2)):24.4f} rad/s")

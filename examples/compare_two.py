@@ -19,7 +19,7 @@ if __name__ == "__main__":
         results[name] = metrics(log)
 
     print(f"{scenario.name}, {scenario.path.length:.0f} m".ljust(32),
-          *(name.rjust(12) for name in NAMES))  # fmt: skip
+          *(name.rjust(12) for name in NAMES))
     for label, key, scale in (
         ("lateral error, RMSE [mm]", "lateral_rmse_m", 1e3),
         ("lateral error, largest [mm]", "lateral_max_m", 1e3),

@@ -40,4 +40,4 @@ if __name__ == "__main__":
     if not result["completed"]:
         print(f"Lost after {result['distance_m']:.0f} m: {result['reason']}")
     print(f"lateral error: RMSE {1e3 * result['lateral_rmse_m']:.0f} mm, "
-          f"largest {1e3 * result['lateral_max_m']:.0f} mm")  # fmt: skip
+          f"largest {1e3 * result['lateral_max_m']:.0f} mm")

@@ -38,4 +38,4 @@ if __name__ == "__main__":
     result = metrics(log)
     print(f"completed: {result['completed']}, largest lateral error "
           f"{1e3 * result['lateral_max_m']:.1f} mm, largest lateral acceleration "
-          f"{result['lateral_acc_max_mps2']:.1f} m/s2")  # fmt: skip
+          f"{result['lateral_acc_max_mps2']:.1f} m/s2")

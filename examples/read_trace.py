@@ -33,5 +33,5 @@ if __name__ == "__main__":
     print(f"largest lateral error: {1e3 * ey[worst]:.2f} mm at {table['s_m'][worst]} m")
     for wheel in ("fl", "fr", "rl", "rr"):
         Fx, Fy, Fz, mu = (table[name].to_numpy() for name in (
-            f"Fx_{wheel}_N", f"Fy_{wheel}_N", f"Fz_{wheel}_N", f"mu_{wheel}"))  # fmt: skip
+            f"Fx_{wheel}_N", f"Fy_{wheel}_N", f"Fz_{wheel}_N", f"mu_{wheel}"))
         print(f"{wheel}: at most {100.0 * np.max(np.hypot(Fx, Fy) / (mu * Fz)):.0f} % of its grip")

@@ -16,7 +16,7 @@ SEARCHES = {
     False: FactorSearch(cost={0.8: 0.006, 0.9: 0.004}, lost={0.8: 0, 0.9: 0}),
 }
 GOOD = {"constant": 6.0, "constant-best": 4.0, "network-secant": 2.0, "network": 1.0,
-        "oracle-secant": 1.5, "oracle": 0.9, "network-dry": 3.0, "lpv-mpc-paper": 30.0}  # fmt: skip
+        "oracle-secant": 1.5, "oracle": 0.9, "network-dry": 3.0, "lpv-mpc-paper": 30.0}
 """Made-up lateral RMSE with the observer [mm]; without it, twice as much."""
 
 
@@ -44,7 +44,7 @@ def made_up(changes=None, cases=CASES):
                                result(GOOD[model.key] * (1.0 if observer else 2.0))))
         for case in cases for observer in (True, False) for model in case.models()
         if not (observer and model is PLAIN)
-    ]  # fmt: skip
+    ]
 
 
 def by_key(rows):
@@ -131,7 +131,7 @@ def test_the_search_says_when_more_may_be_better():
 def test_a_lost_run_costs_the_search_five_metres():
     def drive(runs):
         return [result(1.0, lost_at=30.0 if "stiffness_scale" in run.controller_options else None)
-                for run in runs]  # fmt: skip
+                for run in runs]
 
     roads = ablation.roads(("tuning-a",), (0.7, 0.8))
     found = ablation.search(drive, roads, coarse=(0.9, 1.0), fine=())
@@ -168,7 +168,7 @@ def test_good_numbers_keep_every_promise():
         ("wrong-1.3", result(1.0, lost_at=3.0), {"network_wrong_lost"}),
         ("noise-1", result(1.0, lost_at=3.0), {"network_wrong_lost"}),
     ],
-)  # fmt: skip
+)
 def test_a_promise_is_broken_by_the_number_it_is_about(case, bad, broken):
     found = by_key(made_up({(case, "network", True): bad}))
     assert {key for key, bar in found.items() if bar.ok is False} == broken
@@ -210,7 +210,7 @@ def test_sentences_say_what_good_numbers_say():
 def test_sentences_turn_round_with_the_numbers():
     worse = {(case.key, model, observer): result(9.0)
              for case in CASES for model in ("network", "network-secant")
-             for observer in (True, False)}  # fmt: skip
+             for observer in (True, False)}
     worse[("circuit-0.96", "network", True)] = result(1.0, lost_at=312.0)
     text = told(made_up(worse))
     assert "with the observer hurts 2.2 times" in text and "without it hurts 1.1 times" in text
@@ -224,7 +224,7 @@ def test_sentences_turn_round_with_the_numbers():
 
 def test_the_better_of_the_two_constants_is_what_counts():
     nominal = {("circuit-0.76", "constant", False): result(2.0),
-               ("paper", "constant", True): result(1.05)}  # fmt: skip
+               ("paper", "constant", True): result(1.05)}
     rows = made_up(nominal)
     assert by_key(rows)["gain_over_constant"].value == pytest.approx(2.0)
     assert "with the observer changes nothing that matters (1.05 and 1.00 mm)" in told(rows)
@@ -235,7 +235,7 @@ def test_the_better_of_the_two_constants_is_what_counts():
 def test_what_the_observer_costs_and_saves_is_told():
     lost = {("drop", "constant", True): result(1.0, lost_at=9.0),
             ("drop", "network", False): result(1.0, lost_at=9.0),
-            ("paper", "network", False): result(1.0, lost_at=9.0)}  # fmt: skip
+            ("paper", "network", False): result(1.0, lost_at=9.0)}
     text = told(made_up(lost))
     assert "lost 1 run more by constant, 2 runs fewer by network." in text
 
@@ -303,12 +303,12 @@ def test_report_csv_and_json_hold_every_run(tmp_path):
     }
     assert "quick" in ablation_report.report(
         rows, SEARCHES, quick=True, jobs=1, picture="x.png"
-    ).splitlines()[0]  # fmt: skip
+    ).splitlines()[0]
 
 
 def test_the_picture_is_drawn_with_lost_cars(tmp_path):
     lost = {(f"circuit-{grip:g}", "constant", observer): result(1.0, lost_at=5.0)
-            for grip in (0.96, 1.0) for observer in (True, False)}  # fmt: skip
+            for grip in (0.96, 1.0) for observer in (True, False)}
     file = tmp_path / "picture.png"
     ablation_report.draw(made_up(lost)).savefig(file)
     assert file.read_bytes().startswith(b"\x89PNG")

@@ -32,7 +32,7 @@ from lpvmpc.sim.names import load_controller
 TS = 0.033
 BASELINES = {"lmpc-pso-pid": LMPC, "stanley": Stanley, "pure-pursuit": PurePursuit}
 WEIGHTS = {"lmpc-pso-pid": LMPCWeights, "stanley": StanleyWeights,
-           "pure-pursuit": PurePursuitWeights}  # fmt: skip
+           "pure-pursuit": PurePursuitWeights}
 RNG = np.random.default_rng(0)
 
 
@@ -208,7 +208,7 @@ def test_stanley_needs_no_error_on_a_circle(car):
     rear = math.sqrt(R**2 - car.wheelbase**2)  # kinematic car: the rear axle cuts the bend
     centre = math.hypot(rear, car.lr)
     where = {"kappa": 1.0 / R, "vx": vx, "r": vx / R, "ey": R - centre,
-             "epsi": -math.atan2(car.lr, rear)}  # fmt: skip
+             "epsi": -math.atan2(car.lr, rear)}
     delta, _ = command(made("stanley", car), **where)
     slip = car.m * car.lr / (car.wheelbase * car.Cf) * vx**2 / R
     # straight pieces of 0.33 m between the points: 0.3 mm of error, times k_e / (1 + vx)
@@ -342,7 +342,7 @@ def test_a_stiffness_model_is_refused_by_those_that_adapt_to_nothing(name):
     [(LMPCWeights, "q_ey", -1.0), (LMPCWeights, "r_delta", 0.0), (LMPCWeights, "kp", "ten"),
      (StanleyWeights, "k_e", float("nan")), (PurePursuitWeights, "lookahead_min", 0.0),
      (PIDGains, "ki", float("inf"))],
-)  # fmt: skip
+)
 def test_impossible_weights_are_named(weights, name, value):
     with pytest.raises(OptionError, match=f"weight {name} is"):
         weights(**{name: value})

@@ -106,7 +106,7 @@ def test_a_killed_collection_resumes_to_the_same_bytes(tmp_path):
     process = subprocess.Popen(
         [*command, "--out", "s.parquet"], cwd=tmp_path,
         stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
-    )  # fmt: skip
+    )
     parts = tmp_path / "s.parquet.parts"
     deadline = time.monotonic() + 240.0
     while not list(parts.glob("shard-*.parquet")) and time.monotonic() < deadline:
@@ -125,7 +125,7 @@ def test_ctrl_c_says_how_to_go_on(tmp_path):
         [sys.executable, "-m", "lpvmpc", "collect", "--samples", "50000", "--jobs", "2",
          "--out", "s.parquet"],
         cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+    )
     deadline = time.monotonic() + 240.0
     while not (tmp_path / "s.parquet.parts" / "plan.json").exists():
         assert time.monotonic() < deadline and process.poll() is None

@@ -12,7 +12,7 @@ from lpvmpc.road.names import SCENARIOS
 from lpvmpc.studies.names import BROKEN, STUDIES
 
 SCRIPTS = {name: f"{'data_gen' if name in ('collect', 'train') else 'eval'}/{name}.py"
-           for name in commands.COMMANDS}  # fmt: skip
+           for name in commands.COMMANDS}
 
 
 def said_by(*command, cwd):

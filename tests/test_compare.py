@@ -24,7 +24,7 @@ def test_two_controllers_are_driven_and_laid_side_by_side(run, road, monkeypatch
 
     monkeypatch.setattr(comparison, "DPI", 30)
     code, out, err = run("--controllers", "stanley", "pure-pursuit", "--scenario", road,
-                         "--json", "all.json")  # fmt: skip
+                         "--json", "all.json")
     assert code == 0 and err == ""
     assert "stanley" in out and "RMSE / largest" in out and "[mm]" in out
     result = json.loads(Path("all.json").read_text())

@@ -18,7 +18,7 @@ def finished(log, **meta):
     log.meta |= {"s_end_m": float(log.columns["s_m"][-1]), "reason": "", "has_qp": True,
                  "stiffness": None, "duration_s": float(log.columns["t_s"][-1]),
                  "reference_duration_s": 8.0, "wall_s": 1.0, "realtime_factor": 1.0,
-                 "versions": {}, "model_sha256": ""}  # fmt: skip
+                 "versions": {}, "model_sha256": ""}
     log.meta |= meta
     return log
 
@@ -124,7 +124,7 @@ def test_the_video_holds_all_runs_until_the_last_ends(runs, tmp_path):
     same = runs["lpv-mpc"]
     film = {"a": same, "b": same, "mine": runs["mine"]}  # 3 s, 3 s, and lost after 1 s
     file = comparison_video.compare_video(film, tmp_path / "run.mp4", width=WIDTH, height=HEIGHT,
-                                          fps=4)  # fmt: skip
+                                          fps=4)
     with av.open(str(file)) as video:
         pictures = np.stack([f.to_ndarray(format="rgb24") for f in video.decode(video=0)])
     frames = int(np.floor(same.columns["t_s"][-1] * 4 + 1e-6)) + 1
@@ -155,7 +155,7 @@ def test_the_end_of_a_run_is_written_over_its_picture():
 def test_why_a_run_ended_is_told_with_its_place(runs):
     log = runs["mine"]
     side = comparison_video.Side("mine", log, 640, 360, 30, {
-        "ey_mm": 5.0, "steer_deg": 5.0, "acc_mps2": 4.0, "wind_mps": 10.0})  # fmt: skip
+        "ey_mm": 5.0, "steer_deg": 5.0, "acc_mps2": 4.0, "wind_mps": 10.0})
     what, where = side.reason()
     assert what == "off the path: |ey| > 5 m"
     assert where == f"after {log.columns['s_m'][-1]:.0f} m and {log.columns['t_s'][-1]:.1f} s"

@@ -62,14 +62,14 @@ def copy(tmp_path_factory):
     folder = tmp_path_factory.mktemp("copy")
     for name in ("lpvmpc", "models"):
         shutil.copytree(ROOT / name, folder / name,
-                        ignore=shutil.ignore_patterns("__pycache__"))  # fmt: skip
+                        ignore=shutil.ignore_patterns("__pycache__"))
     gained = {
         section: {name: add(folder, name, text) for name, text in blocks}
         for section, blocks in sections().items()
     }
     environment = {**os.environ, "PYTHONPATH": str(folder)}
     answer = subprocess.run([sys.executable, "-c", DRIVE], cwd=folder, env=environment,
-                            capture_output=True, text=True)  # fmt: skip
+                            capture_output=True, text=True)
     assert answer.returncode == 0, answer.stderr
     said = json.loads(answer.stdout)
     assert said["package"].startswith(str(folder))

@@ -88,7 +88,7 @@ def test_friction_of_an_axle_is_that_of_a_road_under_it(model):
 
 def test_factors_reach_servo_drive_wheels_and_air(model, nominal):
     car = of(model, relaxation=2.0, steer_lag=2.0, steer_rate=0.5, drive_lag=4.0,
-             tire_radius=1.01, side_area=1.5, side_lever=-0.2)  # fmt: skip
+             tire_radius=1.01, side_area=1.5, side_lever=-0.2)
     assert car.sigma_r == pytest.approx(2.0 * 1.01 * nominal.sigma_r)
     assert car.tau_delta == pytest.approx(2.0 * nominal.tau_delta)
     assert car.delta_rate_max == pytest.approx(0.5 * nominal.delta_rate_max)

@@ -13,7 +13,7 @@ import lpvmpc
 
 PAGES = Path(__file__).parents[1] / "docs" / "reference"
 NAMED = sorted({name for page in PAGES.glob("*.md")
-                for name in re.findall(r"^::: (\S+)", page.read_text(), re.M)})  # fmt: skip
+                for name in re.findall(r"^::: (\S+)", page.read_text(), re.M)})
 
 
 def found(name):

@@ -216,7 +216,7 @@ def test_a_bank_that_the_sensors_take_for_acceleration_is_found(lap):
     errors = np.array([
         np.subtract(ekf.update(sensors.measure(s, p, k * TS), STAY)[:5], s[:5])
         for k, (s, p) in enumerate(lap)
-    ])  # fmt: skip
+    ])
     x, y, psi, _, vy = rms(errors, axis=0)
     # 2 s of 0.39 m/s2 unseen would be 0.8 m and 0.8 m/s
     assert max(x, y) < 0.008 and vy < 0.05 and psi < 0.04 * DEG
@@ -248,7 +248,7 @@ def test_numbers_that_are_none_are_counted_and_never_come_out(lap):
     ekf.reset(lap[0][0], rng)
     bad = {50: {"r": np.nan}, 51: {"ax": np.inf}, 90: {"delta": -np.inf}, 120: {"vx": np.nan},
            150: {"x": np.inf}, 151: {"psi": np.nan}, 152: {"wheel_speed": np.full(4, np.nan)},
-           153: {"y": 1e300}, 154: {"vx": 1e308}}  # fmt: skip
+           153: {"y": 1e300}, 154: {"vx": 1e308}}
     for k, (state, psi_path) in enumerate(lap[:300]):
         m = sensors.measure(state, psi_path, k * TS)._replace(**bad.get(k, {}))
         estimate = ekf.update(m, STAY)

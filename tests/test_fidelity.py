@@ -26,7 +26,7 @@ def test_one_study_end_to_end(run, tmp_path):
     linked = [line.split("](")[1][:-1] for line in text.splitlines() if line.startswith("![")]
     assert linked and all((folder / name).stat().st_size > 10_000 for name in linked)
     assert out.endswith("figures are inside their limits.\nSaved runs/fidelity/ "
-                        "(fidelity.md, fidelity.csv, fidelity/)\n")  # fmt: skip
+                        "(fidelity.md, fidelity.csv, fidelity/)\n")
 
 
 def test_a_figure_outside_its_limit_is_exit_code_3(run, tmp_path):

@@ -82,7 +82,7 @@ def test_the_zooms_show_different_places_and_no_wind_where_there_is_none():
     """The bend lies within 50 m of the largest error and is passed over."""
     s = np.arange(500.0)
     columns = {"s_m": s, "kappa_radpm": 0.1 * (s == 130), "wind_mps": 20.0 * (s == 450),
-               "ey_m": 0.3 * (s == 100) - 0.2 * (s == 300) + 0.1 * (s == 400)}  # fmt: skip
+               "ey_m": 0.3 * (s == 100) - 0.2 * (s == 300) + 0.1 * (s == 400)}
     assert zooms(columns) == {"largest error": 100, "peak wind": 450, "second error": 300}
     columns["wind_mps"][:] = 0.0
     assert zooms(columns) == {"largest error": 100, "second error": 300, "third error": 400}

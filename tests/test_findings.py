@@ -16,7 +16,7 @@ def test_a_verdict_needs_a_value_and_a_limit():
     low, high = Limit.at_least(1.5), Limit.at_most(2.0)
     assert [finding("x", v, high).ok for v in (2.0, 2.1, math.nan, None)] == [
         True, False, False, None,
-    ]  # fmt: skip
+    ]
     assert [finding("x", v, low).ok for v in (1.5, 1.4, math.inf)] == [True, False, True]
     assert finding("x", 1.0, None).ok is None
     assert (low.bound, low.is_lower, high.bound, high.is_lower) == (1.5, True, 2.0, False)

@@ -22,7 +22,7 @@ def children(settings, selection="mixed", seed=0, cost=slope, upper=UPPER):
     minimise(
         lambda x: rows.append(x) or cost(x), LOWER, upper, seed=seed,
         settings=replace(settings, generations=1), selection=selection,
-    )  # fmt: skip
+    )
     return np.array(rows[: settings.population]), np.array(rows[settings.population :])
 
 
@@ -92,7 +92,7 @@ def test_a_larger_tournament_is_harder_to_win():
         np.mean([children(replace(s, rivals=n), "tournament", seed)[1].sum(axis=1).mean()
                  for seed in range(5)])
         for n in (1, 2, 5, 100)
-    ]  # fmt: skip
+    ]
     assert means == sorted(means, reverse=True)
     parents, young = children(replace(s, rivals=100), "tournament")
     assert (young == parents[np.argmin(parents.sum(axis=1))]).all()
@@ -102,7 +102,7 @@ def test_the_mixed_selection_draws_both_parents_of_a_pair_in_one_way():
     # With this pressure the wheel draws the best alone, here the first, and a tournament of one
     # draws anybody: a pair of parents is two times the best, or two individuals at random.
     s = Settings(population=50, offspring=1.0, mutation_rate=0.0, crossover="exchange",
-                 pressure=100.0, rivals=1)  # fmt: skip
+                 pressure=100.0, rivals=1)
     both, one = [], []
     for seed in range(10):
         costs = itertools.chain([0.0], itertools.repeat(1.0))
@@ -169,7 +169,7 @@ def test_a_child_as_good_as_a_parent_replaces_it():
     minimise(
         lambda x: 1.0, LOWER, UPPER, seed=0,
         after=lambda state: (first if state.generation == 0 else last).append(state),
-    )  # fmt: skip
+    )
     before = {x.tobytes() for x in first[0].arrays["individuals"]}
     after = {x.tobytes() for x in last[-1].arrays["individuals"]}
     assert not before & after
@@ -178,7 +178,7 @@ def test_a_child_as_good_as_a_parent_replaces_it():
 def test_the_best_of_parents_and_children_survive():
     states, costs = [], []
     minimise(lambda x: costs.append(slope(x)) or costs[-1], LOWER, UPPER, seed=2,
-             settings=Settings(generations=3), after=states.append)  # fmt: skip
+             settings=Settings(generations=3), after=states.append)
     pool = costs[:20]
     for state, begin in zip(states[1:], range(20, 68, 16), strict=True):
         pool = sorted(pool + costs[begin : begin + 16])[:20]

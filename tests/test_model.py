@@ -116,7 +116,7 @@ def test_sensors_show_the_wheel_speeds(model):
     "lamp, outwards",
     [("taillight_left", (-4, 5, 0)), ("taillight_right", (-4, -5, 0)),
      ("headlight_left", (4, 4, 1)), ("headlight_right", (4, -4, 1))],
-)  # fmt: skip
+)
 def test_the_body_does_not_come_through_the_lamps(text, lamp, outwards):
     def hull(name):
         vertices = re.search(rf'<mesh name="{name}" class="shape" vertex="(.*?)"', text, re.DOTALL)

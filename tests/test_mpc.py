@@ -209,7 +209,7 @@ def test_reset_gives_the_same_commands_again(car):
     ("name", "value"),
     [("q_ey", -1.0), ("q_vx", float("nan")), ("r_delta", 0.0), ("observer_gain", 1.5),
      ("slip_cap", 0.0), ("q_epsi", "ten")],
-)  # fmt: skip
+)
 def test_impossible_weights_are_named(name, value):
     with pytest.raises(OptionError, match=name):
         Weights(**{name: value})

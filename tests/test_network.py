@@ -198,7 +198,7 @@ def test_drive_and_brake_forces_are_the_plants(plant, car):
         ax, Fxf, Fxr = network.longitudinal(
             plant.data.act[1], state.vx, 0.0, 0.0, bicycle.Bicycle.of(car), car.m_eff,
             car.brake_front, spin,
-        )  # fmt: skip
+        )
         # 2 % of the force and 30 N: loads still move while the body pitches
         assert ax == pytest.approx(state.ax, abs=0.05)
         assert Fxf == pytest.approx(axles.Fxf, rel=0.02, abs=30.0)

@@ -37,7 +37,7 @@ def test_every_kind_of_option_is_read():
     assert parse(Options, words.split()) == Options(
         wind_scale=0.5, laps=3, out=Path("a/b"), friction=(0.4, 1.0), start=(1.0, -2.5),
         mode="slow", loud=True,
-    )  # fmt: skip
+    )
     assert parse(Options, []) == Options()
 
 

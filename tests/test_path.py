@@ -94,7 +94,7 @@ def test_projection_finds_where_a_point_was_put(closed):
     for s, ey, off in zip(
         RNG.uniform(2.0, 498.0, 300), RNG.uniform(-4.0, 4.0, 300), RNG.uniform(-2.0, 2.0, 300),
         strict=True,
-    ):  # fmt: skip
+    ):
         found = path.project(*beside(path, s, ey), s + off)
         # Newton stops at steps of 1e-10 m; far below what any error bar shows.
         assert found == pytest.approx((s, ey), abs=1e-9)

@@ -77,7 +77,7 @@ def test_what_the_model_knows_and_is_told_passes_through():
 
 @pytest.mark.parametrize(
     "wrong", [{"scale": 0.0}, {"scale": float("nan")}, {"noise": -0.1}, {"noise": 1.5},
-              {"seed": -1}, {"seed": 0.5}])  # fmt: skip
+              {"seed": -1}, {"seed": 0.5}])
 def test_numbers_without_a_meaning_are_refused(wrong):
     with pytest.raises(OptionError, match="stiffness"):
         PerturbedStiffness(Tires(), **wrong)
@@ -85,7 +85,7 @@ def test_numbers_without_a_meaning_are_refused(wrong):
 
 def test_a_controller_is_made_wrong_by_options():
     controller = load_controller("lpv-mpc", stiffness="oracle-secant", stiffness_scale=1.3,
-                                 stiffness_noise=0.1, stiffness_seed=2)  # fmt: skip
+                                 stiffness_noise=0.1, stiffness_seed=2)
     assert controller.stiffness.name == "oracle-secant x1.3, 10 % noise"
     assert controller.stiffness.seed == 2
     with pytest.raises(OptionError, match="stiffness_scale is given"):

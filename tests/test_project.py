@@ -24,7 +24,7 @@ def wheel(tmp_path_factory):
     subprocess.run(
         [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)],
         cwd=root, check=True, capture_output=True,
-    )  # fmt: skip
+    )
     (file,) = folder.glob("*.whl")
     with zipfile.ZipFile(file) as archive:
         archive.extractall(folder / "site")
@@ -59,7 +59,7 @@ def test_the_wheel_brings_the_command(wheel, tmp_path):
 
     def say(*words):
         return subprocess.run([sys.executable, *words], cwd=tmp_path, env=environment, check=True,
-                              capture_output=True, text=True).stdout  # fmt: skip
+                              capture_output=True, text=True).stdout
 
     assert "--scenario" in say("-m", "lpvmpc", "track", "--help")
     code = f"import sys; from {script[1]} import {script[2]}; sys.exit({script[2]}())"
@@ -73,7 +73,7 @@ def test_the_wheel_drives_from_an_empty_folder(wheel, tmp_path):
     said = subprocess.run(
         [sys.executable, "-m", "lpvmpc", "track", "--scenario", "slalom"],
         cwd=tmp_path, env=environment, check=True, capture_output=True, text=True,
-    )  # fmt: skip
+    )
     assert "Completed." in said.stdout
     assert (tmp_path / "runs" / "slalom-lpv-mpc" / "metrics.json").exists()
 
@@ -117,7 +117,7 @@ def test_help_comes_quickly(root):
     # The promise is 1.5 s of an idle machine; processor time of the child, so that a busy one
     # does not fail it.
     best = min(_cpu_of([sys.executable, str(root / "eval" / "track.py"), "--help"])
-               for _ in range(3))  # fmt: skip
+               for _ in range(3))
     assert best < 1.5
 
 

@@ -26,7 +26,7 @@ def problem(
         q=np.tile([1.0, 0.0, 3.0], (N, 1)), r_du=np.full(NU, r),
         du_max=np.full(n_rates, du_max), soft=0, soft_bound=soft_bound,
         slack_weights=np.array([100.0, 1000.0]), scale=np.array([0.5, 2.0]),
-    )  # fmt: skip
+    )
     x0 = rng.standard_normal(NX) if x0 is None else x0
     h.Ad[:], h.Bd[:], h.cd[:] = Ad, Bd, cd
     h.schedule[:] = np.nan  # but for its first row, and there for the model's states, not read
@@ -161,7 +161,7 @@ def test_without_constraints_the_first_input_is_the_lqr_input():
         horizon, 2, 1, Ts=1.0, car=np.zeros(0), Ad=A, Bd=B, q=np.tile([2.0, 1.0], (horizon, 1)),
         r_du=np.array([0.5]), u_lo=-1e6, u_hi=1e6, du_max=np.array([1e6]), soft=0, soft_bound=1e6,
         slack_weights=np.array([1.0, 1.0]), scale=np.array([1.0]),
-    )  # fmt: skip
+    )
     h.schedule[0], h.queue[-1, 0] = x0, u_prev[0]
     condense(h.handle)
     H, g = h.H, h.g
@@ -220,7 +220,7 @@ def test_the_same_sequence_gives_the_same_bytes():
 
 
 @pytest.mark.parametrize(("option", "value"), [("tolerance", 0.0), ("tolerance", np.nan),
-                                               ("max_iter", 0)])  # fmt: skip
+                                               ("max_iter", 0)])
 def test_impossible_solver_options_are_named(option, value):
     with pytest.raises(OptionError, match=option):
         QPSolver(2, 2, **{option: value})

@@ -11,7 +11,7 @@ from lpvmpc.tune import genetic, sphere
 
 COMMAND = "reproduce"
 LINES = {("tuned", OURS), ("tuned", LMPC), ("by hand", OURS), ("printed", "as printed"),
-         ("corrected", "+ secant"), ("corrected", "+ network")}  # fmt: skip
+         ("corrected", "+ secant"), ("corrected", "+ network")}
 
 
 @pytest.fixture
@@ -88,7 +88,7 @@ def test_weights_tuned_anew_and_networks_trained_anew_drive(run, short, monkeypa
             controller=name, task={"scenarios": ["tuning-b"]}, evaluations=4, budget=4, cost=0.1,
             weights={**by_hand[name], "kp": 7.0} if name == LMPC else by_hand[name],
             before=(), after=(), history=(("genetic", 4, 0.1),),
-        )  # fmt: skip
+        )
 
     def gather(**options):
         seen.update(options)

@@ -31,7 +31,7 @@ from lpvmpc.tune import genetic, sphere, tuning
 WEIGHTS = {
     OURS: {"q_ey": 80.0, "terminal": 1.0}, PLAIN: {"q_ey": 80.0, "terminal": 0.0},
     LMPC: {"q_ey": 80.0}, "stanley": {"k": 1.0}, "pure-pursuit": {"k": 1.0},
-}  # fmt: skip
+}
 
 
 def result(rmse=0.001, speed=0.01, lost=False):
@@ -43,7 +43,7 @@ def result(rmse=0.001, speed=0.01, lost=False):
         "heading_max_rad": 0.05, "course_rmse_rad": 0.001, "speed_rmse_mps": speed,
         "speed_max_mps": 4.0 * speed, "step_time_us": {"p50": 200.0, "p99": 300.0},
         "qp": {"solved": 300, "fallback": 0},
-    }  # fmt: skip
+    }
     return {**dict.fromkeys(KEYS), **values}
 
 
@@ -96,7 +96,7 @@ def make(study):
             kind="network-secant", curve=curve, samples=10752,
             r2={("random", "train"): (0.98, 0.97), ("random", "test"): (0.97, 0.96),
                 ("runs", "train"): (0.98, 0.98), ("runs", "test"): (0.95, 0.96)},
-        )  # fmt: skip
+        )
         told = {
             "quick": quick, "jobs": 1, "equipment": equipment, "rows": rows, "driven": len(rows),
             "kept": 7,
@@ -105,7 +105,7 @@ def make(study):
                                             true=true, said=said),
             "sphere": study, "tunings": {}, "tuned_on": ("tuning-a", "tuning-b"),
             "trainings": {"network-secant": training}, "seconds": 60.0,
-        }  # fmt: skip
+        }
         return measurements.Evidence(**{**told, **changes})
 
     return fake
@@ -325,7 +325,7 @@ def test_the_report_holds_every_table_and_says_where_a_car_was_lost(make):
         assert f"**{title}" in text, title
     assert "off at 123 m" in text
     assert report.cell(SimpleNamespace(completed=False, result={
-        "reason": "spun: |epsi| > pi/2", "s_end_m": 12.3})) == "spun at 12 m"  # fmt: skip
+        "reason": "spun: |epsi| > pi/2", "s_end_m": 12.3})) == "spun at 12 m"
     assert "![Fig. 8](paper/fig8-path.png)" in text
     assert "tuned on tuning-a, tuning-b, with the same budget" in text
     assert "No record of a tuning is here." in text
@@ -341,7 +341,7 @@ def test_csv_and_json_hold_every_run(make):
     assert len(values["runs"]) == len(e.rows)
     assert values["bars"]["paper_speed_rmse_mps"] == {
         "text": "paper: speed RMSE", "value": 0.01, "limit": 0.01, "unit": "m/s", "ok": True
-    }  # fmt: skip
+    }
     assert values["numbers"]["lmpc_lateral_rmse_m"]["paper"] == 0.1367
 
 
@@ -368,7 +368,7 @@ def a_tuning(name):
         controller=name, task=task, evaluations=12, budget=12, cost=0.1, weights={"q_ey": 1.0},
         before=(result(0.002),), after=(result(0.001),),
         history=(("genetic", 4, 0.3), ("genetic", 8, 0.2), ("genetic", 12, 0.1)),
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture
@@ -471,11 +471,11 @@ def test_a_steering_that_does_not_come_to_rest_is_seen():
     def log(left, completed=True):
         delta = np.where(t < 2.0, 0.02 * np.sin(3.0 * t), left * np.sin(9.0 * t))
         return SimpleNamespace(columns={"t_s": t, "delta_cmd_rad": delta},
-                               meta={"completed": completed})  # fmt: skip
+                               meta={"completed": completed})
 
     assert resting.of(log(1e-5), 10.0, False).ok
     assert not resting.of(log(0.002), 10.0, False).ok
     assert not resting.of(log(1e-5, completed=False), 10.0, False).ok
     quiet = resting.of(SimpleNamespace(columns={"t_s": t, "delta_cmd_rad": 0.0 * t},
-                                       meta={"completed": True}), 10.0, True)  # fmt: skip
+                                       meta={"completed": True}), 10.0, True)
     assert not quiet.ok  # nothing was answered: no proof of rest

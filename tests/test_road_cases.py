@@ -284,7 +284,7 @@ def test_laps_that_are_none_are_refused(point_plant, circle):
 @pytest.mark.parametrize("start", [(1.0, 0.0), (-0.5, 0.2), (0.0, -0.1)])
 def test_a_start_beside_the_road_is_where_it_was_asked_for(plant, start):
     log = simulate(plant, load_controller("stanley"), load_scenario("circuit"), start_offset=start,
-                   progress=stop_after(3))  # fmt: skip
+                   progress=stop_after(3))
     c = log.columns
     course = c["epsi_rad"][0] + math.atan2(c["vy_mps"][0], c["vx_mps"][0])
     assert (c["ey_m"][0], course) == pytest.approx(start, abs=1e-9)

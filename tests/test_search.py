@@ -53,7 +53,7 @@ def same(one, other):
         return (
             result.best.tobytes(), result.cost, result.evaluations, result.failures,
             [(g.best, g.mean, g.worst, g.individual.tobytes()) for g in result.history],
-        )  # fmt: skip
+        )
 
     return bits(one) == bits(other)
 
@@ -204,7 +204,7 @@ def test_a_cost_that_is_no_number_is_named():
     assert Guarded(lambda x: "much")(LOWER)[1].startswith("ValueError: could not convert")
     assert Guarded(lambda x: None)(LOWER) == (
         math.inf, "TypeError: float() argument must be a string or a real number, not 'NoneType'"
-    )  # fmt: skip
+    )
 
     def silent(x):
         raise KeyError
@@ -311,7 +311,7 @@ def test_a_damaged_state_is_refused(search):
     paths = [
         ("method", "other"), ("settings", {}), ("lower", [0.0]), ("generator", {}),
         ("arrays", {}), ("history", []), ("evaluations", 1e9), ("failures", [[1, 2, "x"]]),
-    ]  # fmt: skip
+    ]
     for name, other in paths:
         body = {**value["state"], name: other}
         with pytest.raises(DataError, match=r"is damaged: its checksum is another\.$"):
@@ -381,7 +381,7 @@ def test_a_seed_that_is_none_is_refused(search, seed):
         ("generations", -1), ("generations", 1.5), ("generations", "3"),
         ("population", 0), ("population", math.nan), ("population", True),
     ],
-)  # fmt: skip
+)
 def test_settings_that_cannot_be_run_are_refused(search, name, value):
     with pytest.raises(OptionError, match=f"^{name} is {value!r}, but must be a whole number from"):
         replace(search.settings, **{name: value})

@@ -17,7 +17,7 @@ def circle(t, vx=15.0, r=0.3):
     return State(
         vx / r * np.sin(psi), -vx / r * np.cos(psi), psi, vx, 0.0, r, 0.05, 0.0, vx * r,
         np.full(4, vx / 0.303),
-    )  # fmt: skip
+    )
 
 
 def readings(sensing, n, seed=0, psi_path=None):
@@ -26,7 +26,7 @@ def readings(sensing, n, seed=0, psi_path=None):
     return states, [
         sensors.measure(s, s.psi if psi_path is None else psi_path, k * TS)
         for k, s in enumerate(states)
-    ], sensors  # fmt: skip
+    ], sensors
 
 
 def errors(name, n=4000, sensing=RTK, seed=0):

@@ -233,7 +233,7 @@ def test_friction_changes_where_the_wheels_are(point_plant, straight):
     "answer",
     [(float("nan"), 0.0), (0.0, float("inf")), None, (1.0,), (1.0, 2.0, 3.0), "12", {1.0, 2.0},
      np.zeros(3), ("a", "b"), 0.1, np.zeros((2, 2))],
-)  # fmt: skip
+)
 def test_an_answer_that_is_no_command_is_named(point_plant, straight, answer):
     with pytest.raises(ControllerError, match=r"Controller 'Straight' returned .* two finite"):
         simulate(point_plant, controller(answer), straight)
@@ -293,7 +293,7 @@ def test_on_another_thread_a_slow_controller_is_judged_afterwards(point_plant, s
     ("name", "value"),
     [("seed", -1), ("seed", 1.5), ("delay", -1), ("delay", 31), ("delay", 1.0),
      ("step_timeout", 0.0), ("step_timeout", float("nan"))],
-)  # fmt: skip
+)
 def test_options_outside_their_domain_are_refused(point_plant, straight, name, value):
     with pytest.raises(OptionError, match=name):
         simulate(point_plant, Straight(), straight, **{name: value})
@@ -342,7 +342,7 @@ def test_a_users_class_is_found_in_the_current_directory(user_module, point_plan
     [("absent:Mine", "no such module"), ("mine:Absent", "it has Half, Mine, Picky"),
      ("mine:Half", "no method 'command'"), ("mine:Picky", "cannot be made from what"),
      (":Mine", "cannot be imported"), ("mine:", "does not exist")],
-)  # fmt: skip
+)
 def test_a_users_class_that_is_no_controller_is_named(user_module, name, sentence):
     user_module(GOOD)
     with pytest.raises(ControllerError, match=sentence) as caught:

@@ -56,7 +56,7 @@ def test_the_script_writes_what_it_prints(run, short, tmp_path):
     values = json.loads((folder / "speed.json").read_text())
     assert values == json.loads((tmp_path / "copy" / "speed.json").read_text())
     for key in ("plant_step_ratio", "plant_realtime_factor", "control_step_p50_us",
-                "control_step_p99_us", "lap_realtime_factor", "adaptation_ratio"):  # fmt: skip
+                "control_step_p99_us", "lap_realtime_factor", "adaptation_ratio"):
         assert values[key] > 0.0, key
     # Ours against theirs, in the same process: never below 1, and beyond 3 something is broken,
     # however busy the machine.

@@ -23,7 +23,7 @@ def invented(**finals):
         Runs(selection=name, crossover="blend", seeds=tuple(range(len(values))),
              distances=np.column_stack([np.ones(len(values)), values]))
         for name, values in finals.items()
-    ]  # fmt: skip
+    ]
     settings = replace(sphere.SETTINGS, generations=1)
     return Study(settings=settings, selections=tuple(some), crossovers=(some[0], some[0]))
 
@@ -104,10 +104,10 @@ def test_p_is_adjusted_for_three_comparisons():
 
     rng = np.random.default_rng(1)
     study = invented(mixed=rng.random(20), roulette=rng.random(20) + 0.2,
-                     tournament=rng.random(20) + 0.5)  # fmt: skip
+                     tournament=rng.random(20) + 0.5)
     pairs = [(0, 1), (0, 2), (1, 2)]
     raw = [mannwhitneyu(study.selections[i].final, study.selections[j].final).pvalue
-           for i, j in pairs]  # fmt: skip
+           for i, j in pairs]
     order = np.argsort(raw)
     expected = np.maximum.accumulate(np.array(raw)[order] * [3, 2, 1]).clip(max=1.0)
     assert np.array([c.p for c in sphere.compare(study)])[order] == pytest.approx(expected)

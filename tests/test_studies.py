@@ -161,7 +161,7 @@ def test_forces_one_step_late_are_found(car):
     "broken, study",
     [("late-forces", "straight"), ("wrong-trail", "steady-state"),
      ("double-friction", "steady-state"), ("narrow-track", "load-transfer")],
-)  # fmt: skip
+)
 def test_a_broken_car_fails_on_the_road_too(broken, study):
     assert failed(load_study(study)(break_car(broken)))
 

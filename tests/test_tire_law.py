@@ -31,7 +31,7 @@ FUNCTIONS = {
     "forces": (0.01, 0.02, 3000.0, 0.9), "peak_friction": (3000.0,), "slip_stiffness": (3000.0,),
     "cornering_stiffness": (3000.0,), "pneumatic_trail": (0.02, 3000.0),
     "relaxation_lengths": (3000.0,), "rolling_resistance": (),
-}  # fmt: skip
+}
 
 
 def car_text(lines):

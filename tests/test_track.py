@@ -176,7 +176,7 @@ FILES = [
      "has a radius of 3.00 m at 0.0 m, but the car cannot turn tighter than"),
     ("slow", "# x_m,y_m,w_tr_right_m,w_tr_left_m,vx_mps\n"
      + "".join(f"{x},0,3,3,-1\n" for x in range(60)), "slow.csv"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("name", "text", "sentence"), FILES, ids=[f[0] for f in FILES])
@@ -255,7 +255,7 @@ def test_results_are_replaced_together(run, road, sketch, user_module, tmp_path)
     assert json.loads((folder / "metrics.json").read_text())["controller"] == "stanley"
     names = sorted(file.name for file in folder.rglob("*"))
     assert names == ["figures", "metrics.json", "notes.txt", "sketch.png", "timing.parquet",
-                     "trace.parquet"]  # fmt: skip
+                     "trace.parquet"]
 
 
 def test_a_mistyped_option_leaves_the_last_run_alone(run, road, sketch, tmp_path):
@@ -308,9 +308,9 @@ def test_a_file_whose_name_is_no_text_is_driven_and_saved(run, road, tmp_path):
 def test_a_road_that_was_left_is_said_beside_the_verdict(run, tmp_path, sketch):
     narrow = tmp_path / "narrow.csv"
     narrow.write_text("# x_m,y_m,w_tr_right_m,w_tr_left_m\n"
-                      + "".join(f"{x},0,1.2,1.2\n" for x in range(0, 120, 2)))  # fmt: skip
+                      + "".join(f"{x},0,1.2,1.2\n" for x in range(0, 120, 2)))
     code, out, err = run("--scenario", narrow, "--controller", "stanley",
-                         "--start-offset", 1, 0)  # fmt: skip
+                         "--start-offset", 1, 0)
     assert (code, err) == (0, "")
     result = json.loads(Path("runs/narrow-stanley/metrics.json").read_text())
     assert result["completed"] and 0.3 < result["left_road_s"] < 0.5 * result["duration_s"]
@@ -344,7 +344,7 @@ def test_an_interrupt_saves_what_was_measured(road, user_module, tmp_path, root,
         [sys.executable, str(root / "eval" / "track.py"), "--scenario", str(road),
          "--controller", "mine:Slow", "--out", "here"],
         cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+    )
     deadline = time.monotonic() + 120.0
     while not (tmp_path / "started").exists() and time.monotonic() < deadline:
         time.sleep(0.05)
@@ -375,7 +375,7 @@ def test_a_dead_display_is_one_sentence(run, road, monkeypatch):
 def test_a_world_of_ones_own_is_driven_and_recorded(run, road, tmp_path, sketch):
     (tmp_path / "heavy.toml").write_text("base = 'rtk'\n[car]\nmass = 1.1\n")
     code, out, err = run("--scenario", road, "--controller", "stanley", "--world", "heavy.toml",
-                         "--estimator", "none", "--latency", 20, "--seed", 3)  # fmt: skip
+                         "--estimator", "none", "--latency", 20, "--seed", 3)
     assert (code, err) == (0, "")
     result = json.loads((tmp_path / "runs" / "road-stanley" / "metrics.json").read_text())
     assert result["world"]["name"] == "heavy" and result["estimator"] == "none"

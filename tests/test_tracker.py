@@ -53,7 +53,7 @@ class Integrator(Tracker):
             4, 5, 1, Ts=TS, car=one, q=np.tile([0.0, 0.0, 0.0, 1.0, 0.0], (4, 1)), r_du=1e-6 * one,
             du_max=10.0 * one, scale=one, soft=3, soft_bound=10.0, slack_weights=np.ones(2),
             Ad=np.eye(5), u_lo=-1.0, u_hi=1.0,
-        )  # fmt: skip
+        )
         h.Bd[:, 3, 0] = 1.0
         super().__init__(car, h)
 
@@ -212,5 +212,5 @@ def test_a_copy_from_another_process_drives_the_same(car, tmp_path):
     told = subprocess.run(
         [sys.executable, "-c", code, str(tmp_path / "controller.pkl")],
         check=True, capture_output=True, text=True, cwd=Path(__file__).parents[1],
-    ).stdout.strip()  # fmt: skip
+    ).stdout.strip()
     assert told == commands(controller, 20).hex()

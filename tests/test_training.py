@@ -109,7 +109,7 @@ def test_the_papers_network_learns_too(data, car):
     assert min(scores["C_f"], scores["C_r"]) > 0.3
     assert [trained.weights[0].arrays[f"W{i}"].shape for i in range(5)] == [
         (16, 5), (28, 16), (16, 28), (9, 16), (2, 9),
-    ]  # fmt: skip
+    ]
 
 
 def test_the_papers_preset_is_the_papers():
@@ -138,7 +138,7 @@ def test_torch_and_the_compiled_network_agree(data, car, name):
             s, D = network.features(
                 samples["alpha"][k, i], samples["Fx"][k, i], samples["ax"][k],
                 samples["roll"][k], 1.0, samples["norms"][k, i], z,
-            )  # fmt: skip
+            )
             force = (p.Fy[k, i] - data[f"Fy{axle}_N"][k]) / D
             slope = (p.slope[k, i] - data[f"slope_{axle}_Nprad"][k]) / (car.Cf, car.Cr)[i]
             error += force**2 / (s * s + 0.1) + 0.1 * slope**2
@@ -237,7 +237,7 @@ def test_the_script_leaves_weights_and_a_report(run, file, tmp_path):
     found = sorted(f.name for f in (tmp_path / "w" / "n-fit").iterdir())
     assert found == [
         "learning-curve.csv", "learning-curve.png", "prediction.png", "r2.csv", "slip.csv",
-    ]  # fmt: skip
+    ]
     rows = (tmp_path / "w" / "n-fit" / "r2.csv").read_text().splitlines()
     assert rows[0].startswith("seed,split,set,samples,C_f,C_r,Fy_f")
     assert len(rows) == 1 + 2 * (11 * 2 + 1)
@@ -308,7 +308,7 @@ def test_ctrl_c_leaves_a_checkpoint_to_resume(file, tmp_path):
         [sys.executable, "-m", "lpvmpc", "train", "--data", str(file), "--out", "w.safetensors",
          "--epochs", "5000", "--seeds", "1"],
         cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+    )
     checkpoint = tmp_path / "w.safetensors.checkpoint"
     deadline = time.monotonic() + 240.0
     while not checkpoint.exists():

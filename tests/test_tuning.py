@@ -259,7 +259,7 @@ def test_the_weights_it_saves_are_those_it_found(bowl, tmp_path):
     result = {
         "scenario": "tuning-b", "lateral_rmse_m": 0.1, "lateral_max_m": None,
         "heading_rmse_rad": 0.2, "speed_rmse_mps": 0.3, "completed": False, "reason": "spun",
-    }  # fmt: skip
+    }
     files = tuning_report.save(tuned, [result], [result], tmp_path)
     assert weights_file.read_weights(tmp_path / "weights.toml", "stanley") == tuned.weights
     assert json.loads((tmp_path / "tuning.json").read_text())["weights"] == tuned.weights

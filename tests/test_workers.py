@@ -120,7 +120,7 @@ def test_workers_end_with_a_parent_that_is_killed(tmp_path):
     (tmp_path / "pids").mkdir()
     path = os.pathsep.join([str(tmp_path), *sys.path])
     process = subprocess.Popen([sys.executable, "-c", script], cwd=tmp_path,
-                               env={**os.environ, "PYTHONPATH": path})  # fmt: skip
+                               env={**os.environ, "PYTHONPATH": path})
     deadline = time.monotonic() + 60.0
     while len(pids := [int(file.name) for file in (tmp_path / "pids").iterdir()]) < 2:
         assert time.monotonic() < deadline and process.poll() is None

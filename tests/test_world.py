@@ -357,7 +357,7 @@ def test_a_latency_of_whole_periods_gives_the_trace_of_a_delay(plant, bend, peri
 
 def test_an_option_replaces_what_the_world_draws(plant, bend):
     log = drive(plant, bend, world="fleet", estimator="none", latency=0.01,
-                deviations=Deviations(mass=1.1))  # fmt: skip
+                deviations=Deviations(mass=1.1))
     drawn = log.meta["world"]["drawn"]
     assert drawn["latency"] == 0.01 and drawn["car"] == {"mass": 1.1}
 

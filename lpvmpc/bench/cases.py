@@ -138,7 +138,7 @@ CASES = (
       for scale in (0.7, 1.3)),
     *(_circuit("wrong", f"noise-{seed}", f"10 % noise, seed {seed}", 0.87,
                wrong={"stiffness_noise": 0.1, "stiffness_seed": seed}) for seed in NOISE_SEEDS),
-)  # fmt: skip
+)
 """Everything that is driven."""
 QUICK = ("circuit-0.76", "circuit-0.92", "double-lane-change", "drop")
 """Keys of the cases of a quick look."""
@@ -242,7 +242,7 @@ def roads(names: Iterable[str], grips: Iterable[float]) -> tuple[Case, ...]:
         Case(key=f"{name}-{grip:g}", title=f"{name}, {100 * grip:.0f} %", group="search",
              scenario=name, options={"grip": grip})
         for name in names for grip in grips
-    )  # fmt: skip
+    )
 
 
 SEARCH = roads(("tuning-a", "tuning-b"), (0.65, 0.76, 0.87, 0.92))

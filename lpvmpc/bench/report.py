@@ -198,7 +198,7 @@ def summary_table(table: Results) -> str:
             m.key, _yes(observer), f"{lost} of {len(rows)}",
             short(1e3 * geometric_mean(r.rmse for r in rows)),
             "-" if p50 is None else f"{p50:.0f}", "-" if p99 is None else f"{p99:.0f}",
-        ])  # fmt: skip
+        ])
     header = ("model", "observer", "lost", "RMSE [mm]", "p50 [us]", "p99 [us]")
     title = "All roads, no model made wrong: geometric mean of the RMSE; step time"
     return markdown_table(title, header, body)
@@ -241,7 +241,7 @@ def _yes(observer: bool) -> str:
 COLUMNS = (
     "completed", "reason", "s_end_m", "duration_s", "reference_duration_s", "lateral_rmse_m",
     "lateral_max_m", "heading_rmse_rad", "course_rmse_rad", "speed_rmse_mps",
-)  # fmt: skip
+)
 """Metrics in benchmark.csv."""
 
 
@@ -288,7 +288,7 @@ def as_json(
             for row in rows
         ],
         "record": record(quick=quick, jobs=jobs),
-    }  # fmt: skip
+    }
 
 
 def draw(rows: Sequence[DrivenCase]) -> Figure:
@@ -304,7 +304,7 @@ def draw(rows: Sequence[DrivenCase]) -> Figure:
         "network-secant": (house.ORANGE, "s", "-"), "network": (house.BLUE, "D", "-"),
         "oracle-secant": (house.ORANGE, "s", "--"), "oracle": (house.BLUE, "D", "--"),
         "lpv-mpc-paper": (house.RED, "^", "-"),
-    }  # fmt: skip
+    }
     rows = [row for row in rows if row.case.group == "grip"]
     with matplotlib.rc_context({**matplotlib.rcParamsDefault, **house.STYLE}):
         figure = Figure(figsize=(house.DOUBLE, 5.2))
@@ -319,7 +319,7 @@ def draw(rows: Sequence[DrivenCase]) -> Figure:
                     error = [1e3 * getattr(r, measure) if r.completed else None for r in own]
                     face = "white" if dash == "--" else colour
                     axes.plot(grip, error, dash, color=colour, marker=marker, ms=3, mfc=face,
-                              label=m.key)  # fmt: skip
+                              label=m.key)
                     lost = [g for g, e in zip(grip, error, strict=True) if e is None]
                     # one above the other, where several models lose the car at the same speed
                     height = 1e3 * CHARGE * 1.3 ** (i + 1)

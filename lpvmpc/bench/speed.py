@@ -134,7 +134,7 @@ def measure_plant(rounds: int = 5, blocks: int = 40, periods: int = 10) -> list[
                rounds=tuple(period_us)),
         Figure(key="plant_realtime_factor", text="the same, against real time", unit="x",
                rounds=tuple(factor), pick="most", limit=80.0),
-    ]  # fmt: skip
+    ]
 
 
 def repeat(call: Callable[..., object], times: int, *arguments: object) -> None:
@@ -203,19 +203,19 @@ def loop_figures(label: str, runs: Sequence[tuple[Log, float]]) -> list[Figure]:
     for j, (name, text) in enumerate(zip(names, texts, strict=True)):
         for values, percent, limit in zip((p50, p99), ("p50", "p99"), limits[j], strict=True):
             figures.append(Figure(key=f"{label}{name}_{percent}_us", text=f"{text}, {percent}",
-                                  unit="us", rounds=tuple(values[:, j]), limit=limit))  # fmt: skip
+                                  unit="us", rounds=tuple(values[:, j]), limit=limit))
     for j in range(2):
         for value, percent in zip(quiet[:, j], ("p50", "p99"), strict=True):
             figures.append(Figure(
                 key=f"{label}{names[j]}_quiet_{percent}_us", unit="us", rounds=(value,),
                 text=f"{texts[j]}, {percent}, fastest at each instant",
-            ))  # fmt: skip
+            ))
     figures += [
         Figure(key=f"{label}lap_realtime_factor", text=f"{road} without video, against real time",
                unit="x", rounds=tuple(lap), pick="most", limit=40.0),
         Figure(key=f"{label}lap_cpu_realtime_factor", text="the same by CPU time", unit="x",
                rounds=tuple(cpu), pick="most"),
-    ]  # fmt: skip
+    ]
     return figures
 
 
@@ -245,7 +245,7 @@ def measure_adaptation(scenario: Scenario, rounds: int = 5) -> list[Figure]:
                rounds=tuple(network)),
         Figure(key="adaptation_ratio", text="network / constant", unit="",
                rounds=tuple(network / constant), pick="middle"),
-    ]  # fmt: skip
+    ]
 
 
 # --- video ---
@@ -280,7 +280,7 @@ def measure_frame(log: Log, rounds: int = 5, frames: int = 25) -> list[Figure]:
                 render_video(short, file, width=width, height=height, progress=clock)
             medians.append(1e3 * float(np.median(np.diff(clock.at)[5:])))
         figures.append(Figure(key=f"frame_{height}p_ms", unit="ms", rounds=tuple(medians),
-                              text=f"a frame of video, {width} x {height}"))  # fmt: skip
+                              text=f"a frame of video, {width} x {height}"))
     return figures
 
 

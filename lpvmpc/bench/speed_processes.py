@@ -64,7 +64,7 @@ def measure_start(rounds: int = 5) -> list[Figure]:
                rounds=tuple(first_s), limit=4.0),
         Figure(key="first_step_cpu_s", text="the same, CPU time", unit="s",
                rounds=tuple(first_cpu)),
-    ]  # fmt: skip
+    ]
 
 
 def children_cpu() -> float:
@@ -137,7 +137,7 @@ def measure_rollouts(rounds: int = 5, simulations: int = 16, seconds: int = 2) -
                rounds=tuple(one / two), pick="middle"),
         Figure(key="two_process_scaling", text="calibration: gain of a second process", unit="x",
                rounds=tuple(2.0 * alone / both), pick="middle"),
-    ]  # fmt: skip
+    ]
 
 
 def _tell(worker: subprocess.Popen[str], simulations: int) -> None:

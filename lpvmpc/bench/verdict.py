@@ -64,7 +64,7 @@ class Results:
         return [
             r for r in self.rows
             if r.model.key == model and r.observer == observer and not r.case.wrong
-        ]  # fmt: skip
+        ]
 
 
 def bars(table: Results) -> list[Finding]:
@@ -81,7 +81,7 @@ def bars(table: Results) -> list[Finding]:
         *_friction(table),
         *_wrong(table),
         *_beside_the_oracle(table),
-    ]  # fmt: skip
+    ]
 
 
 def _gain_over_constant(table: Results) -> float | None:
@@ -91,7 +91,7 @@ def _gain_over_constant(table: Results) -> float | None:
 
 def _accuracy(table: Results) -> Iterable[Finding]:
     for grip, rmse, largest in ((0.76, 3.0, 20.0), (0.87, 5.0, 40.0), (0.92, 8.0, 60.0),
-                                (0.96, None, 100.0)):  # fmt: skip
+                                (0.96, None, 100.0)):
         case, title = f"circuit-{grip:g}", f"{100 * grip:.0f} %"
         if rmse is not None:
             yield _in_mm(f"{case}_rmse", f"{title}: RMSE", table.rmse(case, "network"), rmse)
@@ -101,7 +101,7 @@ def _accuracy(table: Results) -> Iterable[Finding]:
         off = None
         if row is not None:
             off = 100.0 * abs(float(row.result["duration_s"] or 0.0)
-                              / float(row.result["reference_duration_s"] or 1.0) - 1.0)  # fmt: skip
+                              / float(row.result["reference_duration_s"] or 1.0) - 1.0)
         yield Finding(
             key=f"{case}_duration_percent",
             figure=f"{title}: duration off",
@@ -202,7 +202,7 @@ def _on_paper(table: Results) -> str | None:
         if constant is None or ours is None:
             return None
         parts.append(f"{_with(observer)} {judged(constant.rmse / ours.rmse)} "
-                     f"({1e3 * constant.rmse:.2f} and {1e3 * ours.rmse:.2f} mm)")  # fmt: skip
+                     f"({1e3 * constant.rmse:.2f} and {1e3 * ours.rmse:.2f} mm)")
     return (
         "On the paper's road in its wind, the network in place of the better constant "
         f"{' and '.join(parts)}."
@@ -218,7 +218,7 @@ def _over_grip(table: Results, model: str) -> str | None:
             return None
         low, high = min(known, key=known.__getitem__), max(known, key=known.__getitem__)
         parts.append(f"{_with(observer)} {known[low]:.2g} times (at {100 * low:.0f} %) to "
-                     f"{known[high]:.2g} times (at {100 * high:.0f} %)")  # fmt: skip
+                     f"{known[high]:.2g} times (at {100 * high:.0f} %)")
     return (
         f"On circuit without wind, the RMSE of {model} is smaller than the better constant's "
         f"{' and '.join(parts)}."
@@ -239,7 +239,7 @@ def _two_networks(table: Results) -> str | None:
         worse = sum(ratio <= 1.0 / MATTERS for ratio in pairs)
         parts.append(f"{_with(observer)} better in {better}, worse in {worse}, alike in "
                      f"{len(pairs) - better - worse} of {len(pairs)} cases, median factor "
-                     f"{statistics.median(pairs):.2g}")  # fmt: skip
+                     f"{statistics.median(pairs):.2g}")
     return f"Our network against the paper's: {'; '.join(parts)}."
 
 
@@ -330,7 +330,7 @@ def _robustness(table: Results) -> str | None:
             return None
         worst = max(rows, key=lambda row: row.rmse)
         parts.append(f"{key} from {1e3 * right.rmse:.2g} to {1e3 * worst.rmse:.2g} mm "
-                     f"({worst.case.title})")  # fmt: skip
+                     f"({worst.case.title})")
     return (
         "Made wrong by x0.7, x1.3 or 10 % noise, at 87 % of the grip and with the observer, the "
         f"RMSE grows at the worst for {', for '.join(parts)}."

@@ -67,7 +67,7 @@ N_COEFFICIENTS = len(COEFFICIENTS)
 
 (FNOMIN, R0, KZ, CZ, PCX1, PDX1, PDX2, PEX1, PEX2, PKX1, PKX2, PKX3, PCY1, PDY1, PDY2, PEY1, PEY2,
  PKY1, PKY2, RBX1, RBX2, RCX1, REX1, RBY1, RBY2, RCY1, REY1, PTX1, PTX2, PTY1, PTY2, QBZ1, QCZ1,
- QDZ1, QSY1) = range(N_COEFFICIENTS)  # fmt: skip
+ QDZ1, QSY1) = range(N_COEFFICIENTS)
 
 SIGMA_MIN = 0.05
 """Shortest relaxation length [m]: a tire leaving the road forgets its deflection within 5 cm."""

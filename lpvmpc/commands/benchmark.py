@@ -166,7 +166,7 @@ class Progress:
                 "{task.description}", BarColumn(), TextColumn("{task.completed}/{task.total}"),
                 TextColumn("{task.fields[rate]} runs/s"), TimeRemainingColumn(),
                 console=Console(stderr=True), transient=True,
-            )  # fmt: skip
+            )
             self.bar.start()
         return self
 

@@ -104,7 +104,7 @@ class Progress:
                 "{task.description}", BarColumn(), TextColumn("{task.completed}/{task.total}"),
                 TextColumn("{task.fields[rate]} samples/s"), TimeRemainingColumn(),
                 console=Console(stderr=True), transient=True,
-            )  # fmt: skip
+            )
             self.bar.add_task("collecting", total=self.samples, rate="-")
             self.bar.start()
         return self
@@ -128,7 +128,7 @@ def print_table(covered: Coverage) -> None:
     table = Table(title="Coverage", title_style="bold", title_justify="left", expand=False)
     table.add_column("manoeuvre", no_wrap=True)
     for name in ("runs", "rows", "vx\nm/s", "ax\nm/s2", "|ay|\nm/s2", "slip f/r\ndeg",
-                 "soft\n%"):  # fmt: skip
+                 "soft\n%"):
         table.add_column(name, justify="right")
     for name, kind in sorted(covered.kinds.items()):
         slips = (f"{value * 57.2958:.1f}" for value in (kind.alpha_f_max, kind.alpha_r_max))

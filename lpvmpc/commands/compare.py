@@ -72,7 +72,7 @@ def main(options: Options) -> int:
     from lpvmpc.sim.metrics import metrics
 
     what = {name: getattr(options, name)
-            for name in ("wind_scale", "friction", "v_max", "ay_max", "grip")}  # fmt: skip
+            for name in ("wind_scale", "friction", "v_max", "ay_max", "grip")}
     scenario = load_scenario(options.scenario, **what)
     for sentence in scenario.warnings:
         print("Warning:", sentence, file=sys.stderr)
@@ -89,7 +89,7 @@ def main(options: Options) -> int:
         runs[name] = simulate(
             plant, controller, scenario, seed=options.seed, delay=options.delay, name=name,
             step_timeout=60.0 if ":" in name else None, options=what,
-        )  # fmt: skip
+        )
         if runs[name].meta["reason"] == "interrupted":
             raise KeyboardInterrupt
     show(runs)
@@ -142,7 +142,7 @@ def show(runs: dict[str, Log]) -> None:
     header, rows = comparison.summary(runs)
     first = next(iter(runs.values()))
     table = Table(title=f"Controllers on {first.meta['scenario']}", title_style="bold",
-                  title_justify="left")  # fmt: skip
+                  title_justify="left")
     for n, name in enumerate(header):
         table.add_column(escape(name), justify="right" if n else "left", overflow="fold")
     for row in rows:
@@ -153,7 +153,7 @@ def show(runs: dict[str, Log]) -> None:
             console.print(f"{name} did not complete: {log.meta['reason']}.", style="red")
     used = first.meta["versions"]
     console.print(f"Seed {first.meta['seed']}, MuJoCo {used['mujoco']}, ProxQP "
-                  f"{used['proxsuite']}; {machine()}.", style="dim")  # fmt: skip
+                  f"{used['proxsuite']}; {machine()}.", style="dim")
 
 
 def film(runs: dict[str, Log], video: Path) -> None:

@@ -68,7 +68,7 @@ def main(options: Options) -> int:
             found = measurements.gather(
                 quick=options.quick, jobs=jobs, cache=cache, say=say, tunings=tunings,
                 networks=networks,
-            )  # fmt: skip
+            )
             say("figures", 0, 1)
             pictures = figures.save_all(found, out / NAME)
     except KeyboardInterrupt:
@@ -147,7 +147,7 @@ class Progress:
             self.bar = Bar(
                 "{task.description}", BarColumn(), TextColumn("{task.completed}/{task.total}"),
                 TimeRemainingColumn(), console=Console(stderr=True), transient=True,
-            )  # fmt: skip
+            )
             self.bar.start()
         return self
 

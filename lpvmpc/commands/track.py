@@ -178,7 +178,7 @@ def check(options: Options) -> None:
     if options.view and sys.platform.startswith("linux"):
         if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
             raise RenderError("--view needs a display, but neither DISPLAY nor WAYLAND_DISPLAY is "
-                              "set; --render makes a video without one.")  # fmt: skip
+                              "set; --render makes a video without one.")
 
 
 def scenario_options(options: Options) -> dict[str, Any]:
@@ -202,7 +202,7 @@ def controller_options(options: Options, own: bool) -> dict[str, Any]:
             if value is not None:
                 raise LPVMPCError(f"{name} is {str(value)!r}, but the controller "
                                   f"{options.controller!r} is your own: it has only what its "
-                                  "constructor sets.")  # fmt: skip
+                                  "constructor sets.")
         return {}
     from lpvmpc.control.weights_file import read_weights
 

@@ -50,10 +50,10 @@ def print_table(result: dict[str, Any], log: Log) -> None:
         console.print(f"Not completed: {result['reason']}.", style="red")
     used = result["versions"]
     console.print(f"Seed {result['seed']}, MuJoCo {used['mujoco']}, ProxQP {used['proxsuite']}; "
-                  f"{machine()}.", style="dim")  # fmt: skip
+                  f"{machine()}.", style="dim")
     if beside:
         console.print("Paper: Kebbati et al., on CarSim; its largest speed error is below its RMSE"
-                      " as printed.", style="dim")  # fmt: skip
+                      " as printed.", style="dim")
 
 
 def rows(result: dict[str, Any], log: Log) -> Iterator[tuple[str, str, str]]:

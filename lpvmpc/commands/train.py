@@ -87,7 +87,7 @@ def main(options: Options) -> int:
         print("Interrupted; --resume goes on from here.", file=sys.stderr)
         return cli.INTERRUPTED
     print(f"{len(trained.names)} networks, {preset.epochs} epochs in "
-          f"{time.perf_counter() - start:.0f} s")  # fmt: skip
+          f"{time.perf_counter() - start:.0f} s")
     rows = report(trained, data, also, car, out)
     safetensors.write(out, trained.weights[0].arrays, facts(options, preset.kind, data, rows))
     checkpoint.unlink(missing_ok=True)
@@ -159,7 +159,7 @@ def print_tables(rows: list[dict[str, Any]], slips: list[dict[str, Any]]) -> Non
     table = Table(
         title="R2 of the secant stiffness: median over seeds (lowest)",
         title_style="bold", title_justify="left", expand=False,
-    )  # fmt: skip
+    )
     for name in ("held out", "set"):
         table.add_column(name, no_wrap=True)
     table.add_column("front", justify="right")
@@ -177,7 +177,7 @@ def print_tables(rows: list[dict[str, Any]], slips: list[dict[str, Any]]) -> Non
     table = Table(
         title="Relative error of the secant stiffness on held-out runs",
         title_style="bold", title_justify="left", expand=False,
-    )  # fmt: skip
+    )
     for name in ("slip angle [deg]", "front median", "95 %", "rear median", "95 %"):
         table.add_column(name, justify="right")
     ranges = dict.fromkeys((row["slip_from_deg"], row["slip_to_deg"]) for row in slips)

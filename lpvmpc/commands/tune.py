@@ -90,7 +90,7 @@ def tune(options: Options) -> int:
         cli.writable_folder(options.json.parent)
     jobs = options.jobs or cli.cores()
     print(f"Tuning {task.controller} on {', '.join(task.scenarios)}: "
-          f"at most {task.budget} evaluations, {jobs} jobs, seed {task.seed}.")  # fmt: skip
+          f"at most {task.budget} evaluations, {jobs} jobs, seed {task.seed}.")
     try:
         with workers(jobs, options.backend, options.address) as pool, GenerationTable() as table:
             tuned = tuning.tune(
@@ -151,7 +151,7 @@ class GenerationTable:
         new = [f for f in state.failures if f.generation == state.generation]
         for failure in new:
             print(f"Warning: generation {failure.generation}, individual {failure.individual} "
-                  f"is charged: {failure.text}", file=sys.stderr)  # fmt: skip
+                  f"is charged: {failure.text}", file=sys.stderr)
 
     def table(self) -> Any:
         """All generations so far."""

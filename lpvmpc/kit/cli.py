@@ -18,7 +18,7 @@ from lpvmpc.kit.signals import sigterm_is_ctrl_c
 __all__ = [
     "Option", "check_choice", "check_number", "check_opengl", "cores", "parse", "run",
     "writable_folder",
-]  # fmt: skip
+]
 
 DONE, BAD_INPUT, NOT_COMPLETED, INTERRUPTED = 0, 2, 3, 130
 """Exit codes: done; bad input (one line on stderr); the run did not complete; Ctrl-C or

@@ -25,9 +25,9 @@ def markdown_table(
             for cell, w, is_text in zip(row, widths, left, strict=True)
         ) + " |"
         for row in cells
-    ]  # fmt: skip
+    ]
     rule = "|" + "|".join(
         "-" * (w + 2) if is_text else "-" * (w + 1) + ":"
         for w, is_text in zip(widths, left, strict=True)
-    ) + "|"  # fmt: skip
+    ) + "|"
     return "\n".join([f"**{title}**", "", lines[0], rule, *lines[1:], ""])

@@ -185,7 +185,7 @@ def _texts(options: type) -> dict[str, str]:
         for field, text in pairwise(tree.body)
         if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
         and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant)
-    }  # fmt: skip
+    }
 
 
 def _width() -> int:

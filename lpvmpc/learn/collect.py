@@ -222,7 +222,7 @@ class SlotFiller:
                     run, number, kind, model=self.model, friction=friction, mass=mass,
                     Ts=self.plant.Ts,
                 )
-            )  # fmt: skip
+            )
             rows += len(run)
             if rows == ROWS:
                 return {name: np.concatenate([t[name] for t in tables]) for name in tables[0]}

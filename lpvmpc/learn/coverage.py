@@ -64,7 +64,7 @@ class Coverage:
             kind.ax_min = min(kind.ax_min, float(c["ax_mps2"][rows].min()))
             kind.ax_max = max(kind.ax_max, float(c["ax_mps2"][rows].max()))
             for key, column in (("ay_max", "ay_mps2"), ("alpha_f_max", "alpha_f_rad"),
-                                ("alpha_r_max", "alpha_r_rad")):  # fmt: skip
+                                ("alpha_r_max", "alpha_r_rad")):
                 largest = float(np.abs(c[column][rows]).max())
                 setattr(kind, key, max(getattr(kind, key), largest))
             low = (c["Cf_Nprad"][rows] < 64e3) | (c["Cr_Nprad"][rows] < 107e3)

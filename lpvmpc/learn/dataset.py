@@ -149,7 +149,7 @@ def _slopes(axles, outputs, friction, local, at_zero):
 def table_of(
     rows: Sequence[Instant], run: int, kind: str, *, model: mujoco.MjModel, friction: float,
     mass: float, Ts: float,
-) -> dict[str, npt.NDArray[Any]]:  # fmt: skip
+) -> dict[str, npt.NDArray[Any]]:
     """Columns of one run.
 
     Args:

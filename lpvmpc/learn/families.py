@@ -134,7 +134,7 @@ class ForceFamily:
                 s[k, i], D[k, i] = network.features(
                     args["alpha"][k, i], args["Fx"][k, i], args["ax"][k], args["roll"][k],
                     args["friction"][k], args["norms"][k, i], z[k, i],
-                )  # fmt: skip
+                )
         y = np.column_stack([data["Fyf_N"], data["Fyr_N"]]) / D
         slope = np.column_stack([data["slope_f_Nprad"], data["slope_r_Nprad"]])
         slope /= args["norms"][:, :, network.C0]

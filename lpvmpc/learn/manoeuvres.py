@@ -133,7 +133,7 @@ def step_steer(rng, car, friction, severity, Ts):
     """Steps of the steering to two levels, one after the other."""
     vx, t = _speed(rng), _times(Ts)
     first, second = (_side(rng) * steer_for(_share(rng, severity), vx, car, friction)
-                     for _ in range(2))  # fmt: skip
+                     for _ in range(2))
     switch = rng.uniform(1.5, 2.6)
     return _open(vx, np.where(t < 0.3, 0.0, np.where(t < switch, first, second)))
 

@@ -170,7 +170,7 @@ def train(
     held_out = torch.tensor(np.flatnonzero(~masks[0]))[None]
     while state.epoch < how.epochs:
         drawn = [_draw(s, i, state.epoch, masks[i], steps, batch)
-                 for i, (s, _) in enumerate(names)]  # fmt: skip
+                 for i, (s, _) in enumerate(names)]
         order = torch.tensor(np.stack(drawn, axis=1))  # (steps, M, batch)
         losses = []
         for k in range(steps):

@@ -48,7 +48,7 @@ LINES = {OURS: (RUNS[0], "LPV-MPC (ours)", 0.8), LMPC: (RUNS[1], "LMPC with PSO-
 CASES = {
     "paper": (BLUE, "o"), "paper-loop": (ORANGE, "s"), "double-lane-change": (GREEN, "^"),
     "circuit-0.5": (PINK, "v"), "circuit-0.87": (RED, "D"),
-}  # fmt: skip
+}
 """Colour and marker of the ablation's roads."""
 LOST = 8.0
 """Where lost cars are drawn, times the largest error of the others."""
@@ -108,7 +108,7 @@ def stiffness(e: Evidence) -> Figure:
             said = 1e-3 * s.said[kind][:, i]
             along.plot(s.t, said, color=colour, lw=0.8, label=name, zorder=3)
             against.plot(true, said, ".", ms=1.2, color=colour, rasterized=True,
-                         label=f"{name}, R² {s.r2(kind)[i]:.3f}")  # fmt: skip
+                         label=f"{name}, R² {s.r2(kind)[i]:.3f}")
         along.set_ylabel(f"{axle} [kN/rad]")
         along.set_xlim(float(s.t[0]), float(s.t[-1]))
         along.set_ylim(low, top)
@@ -134,7 +134,7 @@ def speed_wind(e: Evidence) -> Figure:
     c = e.logs[OURS].columns
     axes[0].plot(c["t_s"], c["wind_mps"], color=GREEN)
     axes[1].plot(c["t_s"], c["vx_ref_mps"], color="black", lw=0.8, ls=DASHED, label="reference",
-                 zorder=4)  # fmt: skip
+                 zorder=4)
     for log, look in _both(e):
         own = log.columns
         axes[1].plot(own["t_s"], own["vx_mps"], **look)
@@ -183,7 +183,7 @@ def errors(e: Evidence) -> Figure:
          180.0 / np.pi, None, None),
         ("speed", "m/s", lambda c: c["vx_mps"] - c["vx_ref_mps"], 1.0, PRINTED["speed_rmse_mps"],
          PRINTED["speed_max_mps"]),
-    )  # fmt: skip
+    )
     for (signed, magnitude), (name, unit, of, scale, rmse, largest) in zip(
         axes, kinds, strict=True
     ):
@@ -199,7 +199,7 @@ def errors(e: Evidence) -> Figure:
         for value, dash2, what in ((rmse, DASHED, "paper RMSE"), (largest, DOTTED, "paper max")):
             if value is not None:
                 magnitude.axhline(scale * value, color="black", lw=1.0, ls=dash2,
-                                  label=f"{what} {scale * value:.3g}")  # fmt: skip
+                                  label=f"{what} {scale * value:.3g}")
                 high = max(high, scale * value)
         magnitude.set_ylim(low, 2.5 * high)
         signed.set_ylabel(f"{name} [{unit}]")
@@ -224,7 +224,7 @@ def computation_time(e: Evidence) -> Figure:
     axis.set_title("Computation time (paper)")
     for values, light, dark, name in (
         (step, SKY, BLUE, "control step"), (solve, "#F5CF80", ORANGE, "QP solve"),
-    ):  # fmt: skip
+    ):
         own = 1e-3 * values
         axis.plot(t, own, ".", ms=1.4, color=light, rasterized=True)
         axis.axhline(own.mean(), color=dark, lw=1.4, label=f"{name}, mean {own.mean():.2g} ms")
@@ -344,4 +344,4 @@ def _below(figure: Figure, axis: Axes, columns: int) -> None:
     figure.legend(
         [handles[i] for i in order], [labels[i] for i in order], loc="outside lower center",
         ncols=columns,
-    )  # fmt: skip
+    )

@@ -39,14 +39,14 @@ def bars(e: Evidence) -> list[Finding]:
         found.append(_promise(
             f"rest_{where}_{one.vx:g}_mrad", f"steering at rest, {where}, {one.vx:g} m/s", left,
             1e3 * steering_at_rest.LIMIT, "mrad",
-        ))  # fmt: skip
+        ))
     mixed = float(np.median(e.sphere.of("mixed").final))
     found.append(_promise("sphere_mixed", "sphere: median distance, mixed", mixed, sphere.BAR))
     driven = {row.case.scenario for row in e.rows}
     shared = sorted(driven & set(e.tuned_on))
     found.append(_promise(
         "tuned_on_reported", "roads here that also tuned weights", float(len(shared)), 0.0, "roads"
-    ))  # fmt: skip
+    ))
     return found
 
 

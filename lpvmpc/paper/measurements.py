@@ -217,7 +217,7 @@ def labels(log: Log) -> tuple[Array, Array]:
             Fy[:, axle] += c[f"Fy_{wheel}_N"]
             for k in range(len(Fz)):
                 side = [forces(law[axle], ratio[k], np.tan(angle), Fz[k], 1.0)[1]
-                        for angle in (step, -step)]  # fmt: skip
+                        for angle in (step, -step)]
                 slope[k, axle] += (side[0] - side[1]) / (2.0 * step)
     return alpha, secant_stiffness(alpha, Fy, slope)
 

@@ -59,7 +59,7 @@ IMPOSSIBLE = "impossible: below its own RMSE"
 def numbers(e: Evidence) -> list[Number]:
     """Every number of the paper, with ours."""
     return [*_tracking(e), *_baseline(e), *_computation(e), *_network(e), *_search(e),
-            *_conditions(e)]  # fmt: skip
+            *_conditions(e)]
 
 
 def _tracking(e: Evidence) -> Iterable[Number]:
@@ -75,29 +75,29 @@ def _tracking(e: Evidence) -> Iterable[Number]:
         ("speed_max_mps", "speed error, largest", "m/s", 0.087, 1.0, f"paper's {IMPOSSIBLE}"),
     ):
         ours, third = (_scaled(_get(e, OURS, case, key), scale)
-                       for case in ("paper", "paper-third"))  # fmt: skip
+                       for case in ("paper", "paper-third"))
         yield Number(key=key, group="tracking", text=text, unit=unit, paper=paper, ours=ours,
-                     third=third, remark=remark)  # fmt: skip
+                     third=third, remark=remark)
 
 
 def _baseline(e: Evidence) -> Iterable[Number]:
     names = {"lateral_rmse_m": ("lateral error, RMSE", "m"),
-             "speed_rmse_mps": ("speed error, RMSE", "m/s")}  # fmt: skip
+             "speed_rmse_mps": ("speed error, RMSE", "m/s")}
     for key, (text, unit) in names.items():
         ours, third = (_get(e, LMPC, case, key) for case in ("paper", "paper-third"))
         yield Number(key=f"lmpc_{key}", group="baseline", text=text, unit=unit,
-                     paper=PAPER_LMPC[key], ours=ours, third=third)  # fmt: skip
+                     paper=PAPER_LMPC[key], ours=ours, third=third)
     for other, than, remark in (
         (OURS, "ours", ""), (PAPERS, PAPERS, "the comparison that the paper makes"),
         (PLAIN, PLAIN, "the same without the network"),
-    ):  # fmt: skip
+    ):
         for key, (text, _) in names.items():
             ours, third = (ratio(e, key, other=other, case=case)
-                           for case in ("paper", "paper-third"))  # fmt: skip
+                           for case in ("paper", "paper-third"))
             what = text.partition(" ")[0]
             yield Number(key=f"{other}_ratio_{key}", group="baseline", unit="times",
                          text=f"{what} RMSE over that of {than}", paper=PAPER_RATIO[key],
-                         ours=ours, third=third, remark=remark)  # fmt: skip
+                         ours=ours, third=third, remark=remark)
     yield _aggressive(e)
 
 
@@ -110,7 +110,7 @@ def _aggressive(e: Evidence) -> Number:
     value = jerk[LMPC] / jerk[OURS] if jerk[OURS] > 0.0 else None
     return Number(key="jerk_ratio", group="baseline", unit="times", paper="larger", ours=value,
                   text="RMS of the commanded jerk over ours",
-                  remark='"more aggressive, as it cannot handle constraints"')  # fmt: skip
+                  remark='"more aggressive, as it cannot handle constraints"')
 
 
 def _computation(e: Evidence) -> Iterable[Number]:
@@ -128,7 +128,7 @@ def _computation(e: Evidence) -> Iterable[Number]:
          "paper: 1 / 11.3 ms is 88 Hz, not 95"),
     ):
         yield Number(key=key, group="computation", text=text, unit=unit, paper=paper, ours=ours,
-                     remark=remark)  # fmt: skip
+                     remark=remark)
 
 
 def _network(e: Evidence) -> Iterable[Number]:
@@ -158,7 +158,7 @@ def _network(e: Evidence) -> Iterable[Number]:
         for axle, value in zip(("front", "rear"), e.stiffness.r2(kind), strict=True):
             yield Number(key=f"r2_driven_{kind}_{axle}", group="network", ours=value,
                          text=f"R2 along {e.stiffness.title}, {name}, {axle}",
-                         remark="a driven lap that is in no data (Fig. 5)")  # fmt: skip
+                         remark="a driven lap that is in no data (Fig. 5)")
 
 
 def _search(e: Evidence) -> Iterable[Number]:
@@ -169,7 +169,7 @@ def _search(e: Evidence) -> Iterable[Number]:
             text=f"sphere function, {runs.selection}", paper=sphere.PAPER[runs.selection],
             ours=sphere.OPTIMUM + float(np.median(runs.final)),
             remark=f"optimum {sphere.OPTIMUM:g}; paper: one run, ours: median of {seeds}",
-        )  # fmt: skip
+        )
     tuned = e.tunings.get(OURS)
     for key, text, unit, paper in (
         ("lateral_rmse_m", "tuned: lateral RMSE", "m", 0.0217),
@@ -193,18 +193,18 @@ def _conditions(e: Evidence) -> Iterable[Number]:
     ):
         span = f"{c[column].min():.3g} to {c[column].max():.3g}"
         yield Number(key=key, group="conditions", text=text, unit=unit, paper=paper, ours=span,
-                     remark=remark)  # fmt: skip
+                     remark=remark)
     yield Number(key="friction", group="conditions", text="friction 0.82",
                  paper="a drag of 12.7 kN", ours="the tires' peak",
-                 remark="as printed it would brake with 8 m/s2")  # fmt: skip
+                 remark="as printed it would brake with 8 m/s2")
     yield Number(key="weights", group="conditions", text="entries of Q for five states",
-                 paper=6.0, ours=5.0, remark="unusable as printed")  # fmt: skip
+                 paper=6.0, ours=5.0, remark="unusable as printed")
 
 
 def ratio(
     e: Evidence, key: str, *, other: str = OURS, case: str = "paper", lmpc: str = "tuned",
     ours: str = "tuned",
-) -> float | None:  # fmt: skip
+) -> float | None:
     """How many times larger an error of the baseline is than another controller's.
 
     Args:

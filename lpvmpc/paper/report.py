@@ -140,7 +140,7 @@ def weights_sentence(e: Evidence) -> str:
     if tuned:
         roads = ", ".join(e.tuned_on) or "unknown roads"
         text = (f"Weights of {', '.join(tuned)}: {how}, tuned on {roads}, with the same budget of "
-                "evaluations for every controller.")  # fmt: skip
+                "evaluations for every controller.")
     if by_hand:
         text += (" " if text else "") + (
             f"Weights of {', '.join(by_hand)}: set by hand, since no tuned ones are shipped; they "
@@ -199,7 +199,7 @@ def influence_table(e: Evidence) -> str:
         return ""
     paper = " and ".join(f"{value:.2f}" for value in printed_numbers.PAPER_RATIO.values())
     header = ("controller", "its weights", "lateral, tuned", "speed, tuned", "lateral, by hand",
-              "speed, by hand")  # fmt: skip
+              "speed, by hand")
     title = f"RMSE of {LMPC} over that of a controller, on paper, by weights of the baseline"
     table = markdown_table(title, header, body)
     return f"{table}\nThe paper's ratios are {paper}.\n"
@@ -226,7 +226,7 @@ def controllers(e: Evidence) -> Iterable[str]:
         yield case_table(e, "tuned", f"{title}, tuned weights", one)
     yield times_table(e)
     yield ('"Fallbacks" are control steps, over all roads, whose quadratic program was refused; '
-           "stanley and pure-pursuit have none to solve.\n")  # fmt: skip
+           "stanley and pure-pursuit have none to solve.\n")
 
 
 def times_table(e: Evidence) -> str:
@@ -294,11 +294,11 @@ def tunings(e: Evidence, pictures: Mapping[str, str]) -> Iterable[str]:
         body.append((name, ", ".join(one.task["scenarios"]), f"{one.evaluations} of {one.budget}",
                      f"{one.first:.5f}", f"{one.cost:.5f}", *(short(1e3 * v) for v in pair)))
     header = ("controller", "roads", "evaluations", "first best", "last best",
-              "by hand [mm]", "tuned [mm]")  # fmt: skip
+              "by hand [mm]", "tuned [mm]")
     yield markdown_table("Tuning, the same budget for every controller", header, body)
     yield ("The cost is the paper's sum of the three RMSEs over the roads, plus a price for a "
            "nervous steering command; the last two columns are the worst lateral RMSE on these "
-           "roads. Weights set by hand are among the first population.\n")  # fmt: skip
+           "roads. Weights set by hand are among the first population.\n")
     if "weights" not in e.anew:
         yield "Each tuning has its own report: docs/results/tuning/CONTROLLER/tuning.md.\n"
     yield from _pictures(pictures, ["tuning"])
@@ -339,7 +339,7 @@ COLUMNS = (
     "completed", "reason", "s_end_m", "duration_s", "reference_duration_s", "lateral_rmse_m",
     "lateral_max_m", "heading_rmse_rad", "heading_max_rad", "course_rmse_rad", "speed_rmse_mps",
     "speed_max_mps",
-)  # fmt: skip
+)
 """Metrics in paper.csv."""
 
 
@@ -384,4 +384,4 @@ def as_json(e: Evidence) -> dict[str, Any]:
             quick=e.quick, jobs=e.jobs, anew=list(e.anew), seconds=e.seconds, kept=e.kept,
             tuned_on=list(e.tuned_on),
         ),
-    }  # fmt: skip
+    }

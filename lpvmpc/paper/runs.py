@@ -54,7 +54,7 @@ CASES = (
          ablated=True),
     RoadCase(key="circuit-0.87", title="circuit 87 %", scenario="circuit", options={"grip": 0.87},
          ablated=True),
-)  # fmt: skip
+)
 """All roads; none of them tunes the weights."""
 QUICK = ("paper", "paper-third", "double-lane-change")
 """Keys of the roads of a quick look."""
@@ -162,7 +162,7 @@ PARTS: dict[str, tuple[str, dict[str, Any], dict[str, Any]]] = {
     "observer": ("disturbance observer", {"observer": True}, {"observer": False}),
     "slip cap": ("front slip cap", {"slip_cap": True}, {"slip_cap": False}),
     "traction": ("traction control", {"traction": True}, {"traction": False}),
-}  # fmt: skip
+}
 """Parts of the formulation in the order in which they are added: what they are, what adds them to
 the plain formulation, what takes them from the full one. Euler holds the paper's one model per
 period."""
@@ -183,11 +183,11 @@ def _controllers(equipment: Equipment) -> Iterable[Entry]:
     for group, by_hand in (("tuned", False), ("by hand", True)):
         for name in CONTROLLERS:
             yield Entry(group=group, key=name, text=name, controller=name,
-                        options=equipment.options(name, by_hand=by_hand))  # fmt: skip
+                        options=equipment.options(name, by_hand=by_hand))
             if name == PLAIN:
                 options = equipment.options(PLAIN, by_hand=by_hand, stiffness="network-secant")
                 yield Entry(group=group, key=PAPERS, text=PAPERS, controller=PLAIN,
-                            options=options)  # fmt: skip
+                            options=options)
 
 
 def _printed(equipment: Equipment) -> Iterable[Entry]:
@@ -195,17 +195,17 @@ def _printed(equipment: Equipment) -> Iterable[Entry]:
     plain = equipment.options(PLAIN, by_hand=True)
     left = dict(SLIPS)
     yield Entry(group="printed", key="as printed", text="all formulas as printed",
-                controller=controller(set(left)))  # fmt: skip
+                controller=controller(set(left)))
     for name in SLIPS:
         left.pop(name)
         if left:
             yield Entry(group="printed", key=f"{name} corrected", text=f"corrected: {SLIPS[name]}",
-                        controller=controller(set(left)))  # fmt: skip
+                        controller=controller(set(left)))
         else:
             yield Entry(group="printed", key=PLAIN, text=f"corrected: {SLIPS[name]}",
-                        controller=PLAIN, options=plain)  # fmt: skip
+                        controller=PLAIN, options=plain)
     yield Entry(group="alone", key="none", text="the plain formulation, lpv-mpc-paper",
-                controller=PLAIN, options=plain)  # fmt: skip
+                controller=PLAIN, options=plain)
     for name, text in SLIPS.items():
         yield Entry(group="alone", key=name, text=text, controller=controller({name}))
 
@@ -214,7 +214,7 @@ def _corrected(equipment: Equipment) -> Iterable[Entry]:
     """The parts, added one after the other; then weights, terminal cost and adaptation."""
     group, formulation = "corrected", dict[str, Any]()
     yield Entry(group=group, key=PLAIN, text="the plain formulation",
-                controller=PLAIN, options=equipment.options(PLAIN, by_hand=True))  # fmt: skip
+                controller=PLAIN, options=equipment.options(PLAIN, by_hand=True))
     for name, (text, added, _) in PARTS.items():
         formulation |= added
         options = equipment.options(PLAIN, by_hand=True, formulation=formulation)
@@ -227,7 +227,7 @@ def _corrected(equipment: Equipment) -> Iterable[Entry]:
          equipment.options(OURS, stiffness="network-secant")),
         ("+ network", "stiffness by our network instead: the full controller",
          equipment.options(OURS)),
-    ):  # fmt: skip
+    ):
         yield Entry(group=group, key=key, text=text, controller=OURS, options=options)
 
 
@@ -235,10 +235,10 @@ def _without(equipment: Equipment) -> Iterable[Entry]:
     """The full controller, each part taken away alone."""
     group = "without"
     yield Entry(group=group, key="full", text="the full controller", controller=OURS,
-                options=equipment.options(OURS))  # fmt: skip
+                options=equipment.options(OURS))
     for name, (text, _, taken) in PARTS.items():
         yield Entry(group=group, key=f"- {name}", text=f"without: {text}", controller=OURS,
-                    options=equipment.options(OURS, formulation=taken))  # fmt: skip
+                    options=equipment.options(OURS, formulation=taken))
     for key, text, options in (
         ("- matrices", "A41 = sin(epsi), A45 = 0 as printed",
          equipment.options(OURS, formulation={"matrices": "printed"})),
@@ -248,7 +248,7 @@ def _without(equipment: Equipment) -> Iterable[Entry]:
         ("- our network", "the paper's network instead of ours",
          equipment.options(OURS, stiffness="network-secant")),
         ("- weights", "weights set by hand", equipment.options(OURS, by_hand=True)),
-    ):  # fmt: skip
+    ):
         yield Entry(group=group, key=key, text=text, controller=OURS, options=options)
 
 

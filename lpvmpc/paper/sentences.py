@@ -22,7 +22,7 @@ def sentences(e: Evidence) -> list[str]:
     told: list[Callable[[Evidence], str | None]] = [
         _on_the_papers_road, _ratios, _claim, _printed, _chain, _without, _weights, _step_times,
         lambda e: sphere.verdict(e.sphere),
-    ]  # fmt: skip
+    ]
     return [sentence for tell in told if (sentence := tell(e)) is not None]
 
 
@@ -48,7 +48,7 @@ def _ratios(e: Evidence) -> str | None:
             value
             for lmpc in ("tuned", "by hand") for ours in ("tuned", "by hand")
             if (value := ratio(e, key, lmpc=lmpc, ours=ours)) is not None
-        ]  # fmt: skip
+        ]
         now = ratio(e, key)
         if now is None:
             return None
@@ -62,7 +62,7 @@ def _claim(e: Evidence) -> str | None:
     parts = []
     for key, name in (("lateral_rmse_m", "lateral"), ("speed_rmse_mps", "speed")):
         values = [ratio(e, key, other=PAPERS, lmpc=group, ours=group)
-                  for group in ("tuned", "by hand")]  # fmt: skip
+                  for group in ("tuned", "by hand")]
         known = [value for value in values if value is not None]
         if not known:
             return None
@@ -70,7 +70,7 @@ def _claim(e: Evidence) -> str | None:
             "confirmed" if min(known) >= MATTERS
             else "not confirmed" if max(known) < MATTERS
             else "confirmed with some weights only"
-        )  # fmt: skip
+        )
         shown = " and ".join(f"{value:.2f}" for value in known)
         how = " (tuned and by hand)" if len(known) == 2 else ""
         parts.append(f"{name} {shown}{how}, paper {PAPER_RATIO[key]:.1f}, {verdict}")

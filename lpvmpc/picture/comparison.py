@@ -81,14 +81,14 @@ def table(runs: Runs) -> tuple[Sequence[str], list[tuple[str, ...]]]:
 def summary(runs: Runs) -> tuple[Sequence[str], list[tuple[str, ...]]]:
     """Header and rows of what matters most, one row per run, for the width of a terminal."""
     header = ("controller", "lateral error\nRMSE / largest\n[mm]", "course\nRMSE\n[rad]",
-              "speed\nRMSE\n[m/s]", "steering\nrate\n[deg/s]", "step\n\n[us]")  # fmt: skip
+              "speed\nRMSE\n[m/s]", "steering\nrate\n[deg/s]", "step\n\n[us]")
     rows: list[tuple[str, ...]] = []
     for name, log in runs.items():
         n = metrics(log)
         lateral = _text(n["lateral_rmse_m"], 1e3, 2), _text(n["lateral_max_m"], 1e3, 2)
         rows.append((name, " / ".join(lateral), _text(n["course_rmse_rad"], 1.0, 4),
                      _text(n["speed_rmse_mps"], 1.0, 3), _text(restlessness(log), 1.0, 2),
-                     _text(n["step_time_us"]["p50"], 1.0, 0)))  # fmt: skip
+                     _text(n["step_time_us"]["p50"], 1.0, 0)))
     return header, rows
 
 
@@ -110,7 +110,7 @@ def markdown(runs: Runs) -> str:
         f"`{name}` did not complete: {log.meta['reason']}, after {log.meta['s_end_m']:.0f} m "
         f"and {log.meta['duration_s']:.1f} s."
         for name, log in runs.items() if not log.meta["completed"]
-    ]  # fmt: skip
+    ]
     return "\n".join(lines).rstrip() + "\n"
 
 
@@ -132,7 +132,7 @@ def save_all(runs: Runs, directory: str | FilePath) -> list[FilePath]:
     directory = FilePath(directory)
     pictures: dict[str, Callable[[Runs], Figure]] = {
         "errors": errors, "signals": signals, "path": path,
-    }  # fmt: skip
+    }
     files = []
     with into(directory):
         for name, draw in pictures.items():

@@ -52,7 +52,7 @@ __all__ = [
     "BLUE", "COLUMN", "DOUBLE", "DPI", "GREEN", "GREY", "ORANGE", "PAPER", "PINK", "RED", "SKY",
     "STYLE", "commands", "computation_time", "errors", "gg", "path", "save_all", "speed_wind",
     "tires",
-]  # fmt: skip
+]
 
 
 def save_all(log: Any, directory: str | FilePath) -> list[FilePath]:

@@ -263,7 +263,7 @@ def _check(out: mujoco.MjModel, deviations: Deviations) -> None:
         raise OptionError(
             "deviations", given, f"a car that is stable up to {CRITICAL_SPEED:g} m/s (this one: "
             f"{critical:.1f} m/s)",
-        )  # fmt: skip
+        )
 
 
 def _centre_of_mass(model: mujoco.MjModel) -> Array:

@@ -312,7 +312,7 @@ def car_sha256(model: mujoco.MjModel) -> str:
         model.body_mass, model.body_inertia, model.body_pos, model.body_ipos, model.jnt_stiffness,
         model.jnt_range, model.qpos0, model.qpos_spring, model.dof_damping, model.dof_armature,
         model.tendon_stiffness, model.numeric_data,
-    )  # fmt: skip
+    )
     for array in arrays:
         for value in np.ravel(array):
             digest.update(f"{float(value) + 0.0:.9g},".encode())

@@ -243,7 +243,7 @@ class Plant:
             settle(
                 self.model, d, self._actual, self._layout, vx, kappa, relative,
                 self._tilt, course=course,
-            )  # fmt: skip
+            )
         self._psi = place(d, self._layout, x, y, psi, course)
         d.qpos[list(SPIN_QPOS)] = 0.0  # where the spokes are does not matter
         d.ctrl[WIND_X], d.ctrl[WIND_Y] = wind

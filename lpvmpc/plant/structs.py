@@ -40,7 +40,7 @@ _C_TYPES: dict[str, type] = {
     "size_t": ctypes.c_size_t, "uint64_t": ctypes.c_uint64, "uintptr_t": ctypes.c_size_t,
     "mjtNum": ctypes.c_double, "mjtByte": ctypes.c_ubyte, "mjtBool": ctypes.c_bool,
     "mjtSize": ctypes.c_int64,
-}  # fmt: skip
+}
 
 
 def _c_type(kind: object) -> type:

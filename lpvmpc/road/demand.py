@@ -74,7 +74,7 @@ def shortfalls(
         ("of drive", middle, speed.ax + resistance,
          np.minimum(drive, params.lr / params.wheelbase * tires)),
         ("of braking", middle, -speed.ax - resistance, np.minimum(-params.ax_min, tires)),
-    )  # fmt: skip
+    )
     found = []
     for kind, at, asked, has in along:
         missing = asked - (1.0 + TOLERANCE) * has

@@ -115,7 +115,7 @@ class Sensing:
                 raise OptionError(
                     f"sensing psi.{name}", getattr(self.psi, name),
                     f"left out: heading and position are one sample, see position.{name}",
-                )  # fmt: skip
+                )
         absent = [name for name in LARGEST if not getattr(self, name).measured]
         for name in ("position", "r", "ax", "ay", "delta"):
             if name in absent:
@@ -123,12 +123,12 @@ class Sensing:
                 raise OptionError(
                     f"sensing {name}.measured", False,
                     f"true: without {name} the state {lost} cannot be observed",
-                )  # fmt: skip
+                )
         if "vx" in absent and "wheel_speed" in absent:
             raise OptionError(
                 "sensing vx.measured", False,
                 "true: without vx and wheel_speed the state vx cannot be observed",
-            )  # fmt: skip
+            )
 
     @property
     def exact(self) -> bool:

@@ -247,7 +247,7 @@ class EKF:
             car.lf, (car.lr + car.x_cy) * car.Cr / lever, car.Iz / lever, car.x_cy * car.m / lever,
             sensing.delta.noise**2, walk**2 * Ts, car.lr, car.R_w,
             max(CORRELATED, sensing.psi.wander_time if sensing.psi.wander_std else 0.0),
-        ])  # fmt: skip
+        ])
         pose = sensing.position
         oldest = pose.latency[1] + (1.0 / pose.rate if pose.rate else 0.0)
         K = math.ceil(oldest / Ts) + 3
@@ -297,7 +297,7 @@ class EKF:
                 m, self._memory, self._states, self._covariances, self._inertial, self._speeds,
                 self._constants, self._car, self._start,
                 self._means, self._h, self._gain, self._out,
-            )  # fmt: skip
+            )
             if self._memory[FAILED]:
                 self.events += 1
         x, y, psi, vx, vy, r, delta, ax, ay = self._out.tolist()
@@ -355,7 +355,7 @@ def _start(sensing: Sensing) -> Array:
     for state, channel, least in (
         (BR, sensing.r, YAW_BIAS), (BAX, sensing.ax, ACC_BIAS), (BAY, sensing.ay, ACC_BIAS),
         (W0, sensing.position, 0.0), (WPSI, sensing.psi, 0.0),
-    ):  # fmt: skip
+    ):
         start[state] = max(math.hypot(channel.constant, channel.wander_std), least)
     start[W1] = 0.0 if sensing.lane else start[W0]
     # two rear wheels, each uniform
@@ -389,6 +389,6 @@ def _constants(car: VehicleParams, sensing: Sensing, Ts: float) -> Array:
         *markov(sensing.position), *markov(sensing.psi), float(sensing.lane),
         variance(sensing.position, 1e-3), variance(sensing.psi, 1e-4),
         variance(sensing.vx, 1e-3), variance(sensing.vy, 1e-3), wheel**2, slip, ALONG**2,
-    ]  # fmt: skip
+    ]
     assert C_WALK_R == 3 and C_WALK_A == 4  # the order of `strapdown`
     return np.array(values)

@@ -31,7 +31,7 @@ _UNITS = (
     ("x", "m"), ("y", "m"), ("psi", "rad"), ("vx", "mps"), ("vy", "mps"), ("r", "radps"),
     ("ax", "mps2"), ("ay", "mps2"), ("delta", "rad"), ("wheel_fl", "radps"),
     ("wheel_fr", "radps"), ("wheel_rl", "radps"), ("wheel_rr", "radps"),
-)  # fmt: skip
+)
 
 
 class Sensors:
@@ -114,7 +114,7 @@ class Sensors:
         true[:WHEELS] = (
             state.x, state.y, state.psi, state.vx, state.vy, state.r, state.ax, state.ay,
             state.delta,
-        )  # fmt: skip
+        )
         true[WHEELS:] = state.wheel_speed
         self._past.append((t, true, psi_path))
         if len(self._past) > 1:
@@ -210,7 +210,7 @@ class Sensors:
         value[:VX] = (
             (1.0 - w) * a[:VX] + w * b[:VX]
             + h * u * (1.0 - u) * ((1.0 - u) * p0 - u * p1)
-        )  # fmt: skip
+        )
         return value
 
     def _channel(self, i: int) -> Channel:

@@ -46,7 +46,7 @@ def check_start(scenario: Scenario, laps: int, start_offset: tuple[float, float]
     if not (abs(ey) <= EY_LOST and abs(epsi) < EPSI_LOST):
         raise OptionError("start_offset", start_offset,
                           f"two numbers, ey from {-EY_LOST:g} to {EY_LOST:g} m and epsi between "
-                          "-pi/2 and pi/2 rad")  # fmt: skip
+                          "-pi/2 and pi/2 rad")
 
 
 def why_lost(

@@ -40,7 +40,7 @@ class Ground:
             front *= self._patch(s + car.lf)
             rear *= self._patch(s - car.lr)
         friction = (front * surface.left, front * surface.right,
-                    rear * surface.left, rear * surface.right)  # fmt: skip
+                    rear * surface.left, rear * surface.right)
         if (self._friction != friction).any():
             self._friction[:] = friction
             self.plant.friction = self._own * self._friction

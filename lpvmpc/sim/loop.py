@@ -139,7 +139,7 @@ def simulate(
         loop = _Loop(
             plant, controller, scenario, about, delay, step_timeout, laps, start_offset,
             draw.surface,
-        )  # fmt: skip
+        )
         if not draw.sensing.exact or estimator != "none":
             sensors = Sensors(draw.sensing, Ts, senses)
             guess = load_estimator(estimator, car=plant.params, sensing=draw.sensing, Ts=Ts)
@@ -362,5 +362,5 @@ class _Loop:
             state.ax, state.ay, preview.ey, preview.epsi, preview.kappa[0], preview.vx_ref[0],
             preview.x[0], preview.y[0], preview.psi[0], command.delta, command.ax, plant.roll,
             residual,
-        )  # fmt: skip
+        )
         log.n = k + 1  # last, so that an interrupt never leaves half a row

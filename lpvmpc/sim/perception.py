@@ -22,12 +22,12 @@ MEASURED = (
     "meas_x_m", "meas_y_m", "meas_psi_rad", "meas_pose_age_s", "meas_vx_mps", "meas_vy_mps",
     "meas_r_radps", "meas_ax_mps2", "meas_ay_mps2", "meas_delta_rad",
     *(f"meas_wheel_speed_{wheel}_radps" for wheel in WHEELS),
-)  # fmt: skip
+)
 """Columns of the trace with what was measured; NaN where nothing was."""
 ESTIMATED = (
     "est_x_m", "est_y_m", "est_psi_rad", "est_vx_mps", "est_vy_mps", "est_r_radps",
     "est_delta_rad", "est_ax_mps2", "est_ay_mps2", "est_s_m", "est_ey_m", "est_epsi_rad",
-)  # fmt: skip
+)
 """Columns with what the controller was given."""
 
 
@@ -111,7 +111,7 @@ class Perception:
         preview = self.scenario.path.preview(
             found.x, found.y, found.psi, self._s, speed.vx, speed.spacing, self.steps,
             self.sensors.Ts,
-        )  # fmt: skip
+        )
         self._s = preview.s
         k = self._n
         self._measured[k] = (*measured[:-1], *measured.wheel_speed)

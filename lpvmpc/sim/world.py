@@ -122,7 +122,7 @@ class Draw:
             air["side_wind"] = self.side_wind
         found = {
             "latency": self.latency, "car": self.deviations.record(), "road": road, "air": air,
-        }  # fmt: skip
+        }
         return {name: value for name, value in found.items() if value}
 
 
@@ -202,9 +202,9 @@ class World:
         latency = draw_of(self.latency, rng)
         car = {name: draw_of(value, rng) for name, value in self.car.items()}
         air = {name: draw_of(self.air.get(name, default), rng)
-               for name, (default, _, _) in AIR.items()}  # fmt: skip
+               for name, (default, _, _) in AIR.items()}
         friction = {name: draw_of(self.road.get(name, 1.0), rng)
-                    for name in ROAD if name.startswith("friction")}  # fmt: skip
+                    for name in ROAD if name.startswith("friction")}
         wave = draw_of(self.road.get("wavelength", 0.0), rng)
         slopes = {}
         for name in ("grade", "bank"):

@@ -143,7 +143,7 @@ class SingleTrack:
         solution = solve_ivp(
             lambda t, x: self.derivative(x, delta(t)), (times[0], times[-1]), start,
             t_eval=times, rtol=1e-7, atol=1e-9, max_step=0.02,
-        )  # fmt: skip
+        )
         vy, r = solution.y[bicycle.VY], solution.y[bicycle.R]
         return np.stack([r, np.arctan2(vy, vx)], axis=1)
 
@@ -172,7 +172,7 @@ def _yaw_gain(car: CarUnderTest, result: StudyResult) -> None:
     result.find(
         "yaw gain off linear model, to 2 m/s2", 100.0 * worst, "%", Limit.at_most(3.0),
         "at 2 m/s2 load transfer takes 1 % and slip 2 % of an axle's stiffness",
-    )  # fmt: skip
+    )
     header = ("speed m/s", "gain 1/s at 2 m/s2", *(f"% off at {ay:g}" for ay in GENTLE))
     caption = "Yaw gain of the simulation, and how far it is off the linear single track"
     result.tables.append(Table("yaw-gain", caption, header, rows))
@@ -227,7 +227,7 @@ def _steady(car: CarUnderTest, result: StudyResult) -> tuple[Array, dict[str, Ar
         sideslip = models[name][:, 1] - ours[:, 3]
         parts = crossover(ours[:, 0], yaw, PARTED), crossover(ours[:, 0], sideslip, PARTED_SIDESLIP)
         result.find(f"yaw holds to, {name}", parts[0] / 9.81, "g",
-                    Limit.at_least(least[name]), why[name])  # fmt: skip
+                    Limit.at_least(least[name]), why[name])
         table.append(
             (
                 name,
@@ -239,11 +239,11 @@ def _steady(car: CarUnderTest, result: StudyResult) -> tuple[Array, dict[str, Ar
     result.find(
         "yaw rate off CommonRoad's, to 2 m/s2", table[-1][1], "%", Limit.at_most(3.0),
         "as for the linear single track: at 2 m/s2 load transfer is worth 1 %",
-    )  # fmt: skip
+    )
     result.find(
         "sideslip off CommonRoad's, to 2 m/s2", table[-1][2], "deg", Limit.at_most(0.1),
         "about what an optical sensor resolves",
-    )  # fmt: skip
+    )
     header = ("model", "yaw % off to 2", "sideslip deg off to 2", "yaw parts at", "sideslip at")
     caption = (
         f"Steady states at 20 m/s: differences to 2 m/s2, and where the models part [m/s2] "
@@ -309,7 +309,7 @@ def _transient(car: CarUnderTest, result: StudyResult) -> tuple[Array, dict[str,
         off = math.sqrt(np.mean((models[name][:, 0] - ours[:, 2]) ** 2)) / np.abs(ours[:, 2]).max()
         slip = math.degrees(np.abs(models[name][:, 1] - ours[:, 3]).max())
         result.find(f"sine: rms off, {name}", 100.0 * off, "%", Limit.at_most(limits[name]),
-                    why[name])  # fmt: skip
+                    why[name])
         table.append((name, 100.0 * off, slip))
     header = ("model", "yaw rate rms over peak %", "sideslip, largest deg")
     caption = f"One sine of steering, ay to {np.abs(ours[:, 4]).max():.1f} m/s2: differences"
@@ -328,11 +328,11 @@ def _symmetry(car: CarUnderTest, result: StudyResult) -> None:
     result.find(
         "left against right, simulation", float(np.abs(left[:, 1:] + right[:, 1:]).max()), "",
         Limit.at_most(1e-9), "a symmetric car; rounding alone may differ",
-    )  # fmt: skip
+    )
     result.find(
         "left against right, CommonRoad", multibody.read()["left_against_right"], "",
         Limit.at_most(1e-6), "its integrator's tolerance",
-    )  # fmt: skip
+    )
 
 
 # --- pictures ---

@@ -122,7 +122,7 @@ def run(car: CarUnderTest) -> StudyResult:
     result.find(
         "peak lateral acceleration", peak, "m/s2", Limit.at_most(p.mu * GRAVITY),
         "peak friction of Table 2 at nominal load, which load transfer only lowers",
-    )  # fmt: skip
+    )
     result.tables.append(_table(best))
     for (name, stiffness), passages in drives.items():
         columns = {
@@ -209,7 +209,7 @@ def _search(
 def _drive(
     car: CarUnderTest, course: Course, flat: FlatPath, outline: Outline, stiffness: str,
     speed: float,
-) -> Passage:  # fmt: skip
+) -> Passage:
     """Drive through a course, starting at a speed [m/s]."""
     p, path = car.params, flat.path()
     profile = SpeedProfile.constant(speed, path)
@@ -246,7 +246,7 @@ def _best(passages: list[Passage]) -> Passage | None:
 def _judge(
     p: VehicleParams, course: Course, followed: FlatPath, bound: float,
     best: dict[tuple[str, str], Passage | None], result: StudyResult,
-) -> None:  # fmt: skip
+) -> None:
     """Compare the highest entry speed of the adaptive controller with its bounds."""
     name = course.name.split(",")[0]
     fastest = best[course.name, STIFFNESS[0]]
@@ -260,7 +260,7 @@ def _judge(
     result.find(
         f"{name}, entry speed at most", entry, "km/h", Limit.at_most(3.6 * bound),
         "peak friction on the flattest path that the cones allow a car that points along it",
-    )  # fmt: skip
+    )
 
 
 def _short(name: str) -> str:
@@ -270,7 +270,7 @@ def _short(name: str) -> str:
 
 def _table(best: dict[tuple[str, str], Passage | None]) -> Table:
     header = ("track, stiffness model", "entry km/h", "leaves km/h", "closest cone mm",
-              "ay peak m/s2", "sideslip deg", "steer rate deg/s")  # fmt: skip
+              "ay peak m/s2", "sideslip deg", "steer rate deg/s")
     rows: list[tuple[object, ...]] = []
     for (name, stiffness), one in best.items():
         what = f"{name.split(',')[0]}, {stiffness}"
@@ -298,7 +298,7 @@ def _table(best: dict[tuple[str, str], Passage | None]) -> Table:
 def _top_view(
     courses: tuple[Course, ...], paths: dict[str, FlatPath],
     best: dict[tuple[str, str], Passage | None], outline: Outline,
-) -> Figure:  # fmt: skip
+) -> Figure:
     figure, axes = plots.axes(len(courses), 1, height=2.7, sharex=True)
     for axis, course in zip(axes, courses, strict=True):
         for lane in course.lanes:
@@ -309,7 +309,7 @@ def _top_view(
         axis.plot(x, y, "o", ms=3.0, color=plots.RED, lw=0, label="cones")
         flat = paths[course.name]
         axis.plot(flat.x, flat.y, color="black", lw=0.8, ls=(0, (3, 2)), label="reference path",
-                  zorder=4)  # fmt: skip
+                  zorder=4)
         one = best[course.name, STIFFNESS[0]]
         title = course.name
         if one is not None:

@@ -124,27 +124,27 @@ def _circles(car: CarUnderTest, result: StudyResult) -> Array:
         "roll angle off, to 4 m/s2", 100.0 * float(np.abs(off[gentle, 2]).max()), "%",
         Limit.at_most(2.0),
         "linear in roll: on tilted slides the side force takes ay phi/g, 1.4 %, off the springs",
-    )  # fmt: skip
+    )
     result.find(
         "transfers off, at 6.5 m/s2", 100.0 * float(np.abs(off[-2:, :2]).max()), "%",
         Limit.at_most(2.0), "as to 4 m/s2; the body is then lifted by 1.2 % of h",
-    )  # fmt: skip
+    )
     shares = table[:, 1] / (table[:, 1] + table[:, 2])
     result.find(
         "front axle's share of the transfer", float(shares[gentle].mean()), "",
         Limit.percent(p.roll_share_front, 0.5),
         "share of the springs, bars and tires in series; equal tracks",
-    )  # fmt: skip
+    )
     weight = p.m * GRAVITY
     result.find(
         "sum of loads off the weight", float(np.abs(table[:, 4] / weight - 1.0).max()), "",
         Limit.at_most(1e-6), "equilibrium, which the steady state meets to 1e-7",
-    )  # fmt: skip
+    )
     mirrored = float(np.abs(table[::2] - table[1::2])[:, 1:3].max())
     result.find("left against right turn, transfer", mirrored, "N", Limit.at_most(0.01),
-                "a symmetric car; the steady state itself is found to 1e-6")  # fmt: skip
+                "a symmetric car; the steady state itself is found to 1e-6")
     header = ("ay m/s2", "front N", "closed form", "rear N", "closed form", "roll deg",
-              "closed form")  # fmt: skip
+              "closed form")
     left = [
         (row[0], row[1], f[0], row[2], f[1], math.degrees(row[3]), math.degrees(f[2]))
         for row, f in zip(table[::2], form[::2], strict=True)
@@ -198,7 +198,7 @@ def _straight(car: CarUnderTest, springs: Springs, result: StudyResult) -> Array
     table = np.array(rows)
     off = 100.0 * float(np.abs(table[:, 1] / table[:, 2] - 1.0).max())
     result.find("longitudinal transfer off", off, "%", Limit.at_most(2.0),
-                "linear in the pitch angle, whose whole effect is 2 %")  # fmt: skip
+                "linear in the pitch angle, whose whole effect is 2 %")
     caption = "Straight driving: load that the front axle gains, mean over a second"
     header = ("command m/s2", "tire force N", "front gains N", "closed form")
     cells = [(f"{ax:g}", *row) for ax, row in zip(STRAIGHT, table, strict=True)]
@@ -220,7 +220,7 @@ def _transfer_picture(p: VehicleParams, circles: Array, straight: Array) -> Figu
         side.plot(circles[:, 0], circles[:, 1 + i], "o", ms=3.5, color=color, label=name)
     side.axvline(p.ay_limit, color=plots.GREY, lw=0.8, ls=":", label="limit of grip")
     plots.label(side, "lateral acceleration [m/s²]", "transfer, outer wheel gains [N]",
-                "Circles of 100 m, left and right")  # fmt: skip
+                "Circles of 100 m, left and right")
     side.set_xlim(0.0, None)
     side.set_ylim(0.0, None)
     side.legend(loc="upper left")
@@ -232,6 +232,6 @@ def _transfer_picture(p: VehicleParams, circles: Array, straight: Array) -> Figu
     along.axhline(0.0, color=plots.GREY, lw=0.5)
     along.axvline(0.0, color=plots.GREY, lw=0.5)
     plots.label(along, "longitudinal force of all tires [kN]", "front axle gains [N]",
-                "Braking and acceleration")  # fmt: skip
+                "Braking and acceleration")
     along.legend(loc="upper right")
     return figure

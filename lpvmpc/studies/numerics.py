@@ -103,7 +103,7 @@ MANOEUVRES = (
     ),
     Manoeuvre("braking", 20.0, 0.0, lambda t, held: Command(0.0, -5.0)),
     Manoeuvre("braking in a turn", 15.0, 5.0 / 15.0**2, lambda t, held: Command(held.delta, -4.0)),
-)  # fmt: skip
+)
 
 
 def orders(distances: Array) -> Array:
@@ -160,16 +160,16 @@ def _convergence(car: CarUnderTest, result: StudyResult) -> None:
     result.find(
         "lowest order of the finest steps", lowest, "", Limit.at_least(0.9),
         "first order by construction, see the method; 0.9 leaves room for finite steps",
-    )  # fmt: skip
+    )
     result.find(
         "position error at 1 ms", 1e3 * largest_error, "mm", Limit.at_most(10.0),
         "half the lateral RMSE that the paper reports, 21.7 mm: the step decides no comparison",
-    )  # fmt: skip
+    )
     result.find(
         "integrators' limits apart", 1e3 * disagreement, "mm", Limit.at_most(0.1),
         "they integrate the same equations; extrapolation leaves a tenth of the error of the "
         "finest step, at most 1 mm",
-    )  # fmt: skip
+    )
     header = ("manoeuvre", "integrator", *(f"{1e3 * h:g} ms" for h in STEPS), "coarse", "fine")
     caption = "Largest position error [mm] in 2 s; order of the three coarsest and finest steps"
     result.tables.append(Table("convergence", caption, header, rows))
@@ -190,7 +190,7 @@ def _convergence_picture(curves: dict[tuple[str, str], Array]) -> Figure:
     looks = {
         "implicitfast": (plots.BLUE, "o-"), "Euler": (plots.SKY, "+-"),
         "implicit": (plots.GREEN, "x-"), "RK4": (plots.ORANGE, "s-"),
-    }  # fmt: skip
+    }
     for axis, manoeuvre in zip(axes, MANOEUVRES, strict=True):
         for name, (color, style) in looks.items():
             errors = 1e3 * curves[manoeuvre.name, name]
@@ -226,21 +226,21 @@ def _energy(car: CarUnderTest, result: StudyResult) -> None:
     stiffness = mf.slip_stiffness(car.coefficients[0], car.coefficients[0][mf.FNOMIN]) / sigma
     omega = car.params.R_w * math.sqrt(stiffness / car.params.J_w)
     result.find("lap driven", float(log.meta["completed"]), "", Limit.at_least(1.0),
-                "a balance over a lap needs the lap")  # fmt: skip
+                "a balance over a lap needs the lap")
     result.find(
         "energy residual over throughput", 100.0 * float(np.abs(residual).max()) / throughput, "%",
         Limit.at_most(100.0 * (DEFAULT * omega) ** 2 / 24.0),
         f"midpoint rule on the fastest mode, a wheel's spin at {omega:.0f} rad/s: (h omega)^2/24; "
         "1 % is what we promise",
-    )  # fmt: skip
+    )
     result.find(
         "largest power of tire slip", float(books.flows[energy.SLIP].max()), "W",
         Limit.at_most(0.0), "sliding tires dissipate, at every instant",
-    )  # fmt: skip
+    )
     result.find(
         "carcass, net over throughput", 100.0 * abs(books.work(energy.CARCASS)) / throughput, "%",
         Limit.at_most(0.1), "what the carcass takes up it gives back",
-    )  # fmt: skip
+    )
     rows = [
         *((name, "power", books.work(name) / 1e3) for name in energy.FLOWS),
         *((name, "stored", books.change(name) / 1e3) for name in energy.STORES),

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = [
     "BLUE", "COLUMN", "DOUBLE", "DPI", "GREEN", "GREY", "ORANGE", "PINK", "RED", "SKY",
     "axes", "label", "limit_band", "limit_line", "styled",
-]  # fmt: skip
+]
 
 def axes(
     rows: int = 1, columns: int = 1, *, width: float = DOUBLE, height: float = 2.6, **options: Any

@@ -115,7 +115,7 @@ def on_slope(plant: Plant, direction: tuple[float, float], grade: float = GRADE)
     down = GRAVITY * math.sin(angle)
     plant.model.opt.gravity[:] = (
         down * direction[0], down * direction[1], -GRAVITY * math.cos(angle)
-    )  # fmt: skip
+    )
     return plant
 
 
@@ -153,12 +153,12 @@ def _inertia(result: StudyResult, car: CarUnderTest) -> None:
     result.find(
         "mass, by a push", force * time / speed, "kg", Limit.percent(TABLE_2["m"], 0.01),
         "Table 2 of the paper; momentum is exact",
-    )  # fmt: skip
+    )
     result.find(
         "yaw inertia, by a torque", torque * time / rate, "kg m2",
         Limit.percent(TABLE_2["Iz"], 0.1),
         "Table 2 of the paper; the springs' rebound in the air is small",
-    )  # fmt: skip
+    )
 
 
 def _loads(result: StudyResult, car: CarUnderTest) -> None:
@@ -173,18 +173,18 @@ def _loads(result: StudyResult, car: CarUnderTest) -> None:
     result.find(
         "wheel loads on the flat, worst error", 100.0 * relative_error(Fz, expected), "%",
         Limit.at_most(0.1), "m g lr / 2L and m g lf / 2L with Table 2",
-    )  # fmt: skip
+    )
     result.find(
         "sum of the wheel loads over weight", Fz.sum() / weight, "", Limit.near(1.0, 1e-3),
         "the road carries the car",
-    )  # fmt: skip
+    )
     model, data = plant.model, plant.data
     for axle, track in (("front", p.track_f), ("rear", p.track_r)):
         left, right = (data.xpos[model.body(f"wheel_{axle[0]}{side}").id] for side in "lr")
         result.find(
             f"{axle} track, between wheel centres", left[1] - right[1], "m",
             Limit.near(track, 1e-3), "the documented car, settled",
-        )  # fmt: skip
+        )
 
 
 def _slopes(result: StudyResult, car: CarUnderTest) -> dict[str, Standing]:
@@ -197,11 +197,11 @@ def _slopes(result: StudyResult, car: CarUnderTest) -> dict[str, Standing]:
         result.find(
             f"drift in 20 s, {where}", 1e3 * float(stand.drift.max()), "mm", Limit.at_most(1.0),
             "a parked car stands; 1 mm is invisible",
-        )  # fmt: skip
+        )
     result.find(
         "turn in 20 s, worst", math.degrees(max(abs(s.turn) for s in rests.values())), "deg",
         Limit.at_most(0.01), "a parked car stands; 0.01 deg is 0.2 mm at its corners",
-    )  # fmt: skip
+    )
     sin = math.sin(math.atan(GRADE))
     up = rests["uphill"].loads
     cos = math.cos(math.atan(GRADE))
@@ -213,13 +213,13 @@ def _slopes(result: StudyResult, car: CarUnderTest) -> dict[str, Standing]:
     result.find(
         "height of mass, from loads uphill", height, "m", Limit.percent(p.h, 2.0),
         "documented height; 2 %, since leaning is taken out by a linear formula",
-    )  # fmt: skip
+    )
     across = rests["across"].loads
     result.find(
         "load moved across the slope", across[[1, 3]].sum() - across[[0, 2]].sum(), "N",
         Limit.percent(2.0 * transfer_across(car), 2.0),
         "2 m g (h sin + h lean cos) / t; 2 % for small angles",
-    )  # fmt: skip
+    )
     plant = on_slope(car.plant(), DIRECTIONS["downhill"])
     plant.reset(trim=False)
     free = Command(0.0, 0.0)
@@ -229,7 +229,7 @@ def _slopes(result: StudyResult, car: CarUnderTest) -> dict[str, Standing]:
     result.find(
         "acceleration rolling down 10 %", gained, "m/s2", Limit.percent(expected, 0.5),
         "(sin - c_roll cos) g m / m_eff; 0.5 % for the drag at 3 m/s",
-    )  # fmt: skip
+    )
     return rests
 
 
@@ -266,7 +266,7 @@ def _suspension(result: StudyResult, car: CarUnderTest) -> dict[str, Array]:
     result.find(
         "all modes, worst error at 1 ms", 100.0 * error, "%", Limit.at_most(allowed),
         "a first-order step errs by half a step times the fastest mode, omega dt / 2",
-    )  # fmt: skip
+    )
     names = [*MODES, *(f"wheel hop {i}" for i in (1, 2, 3, 4))]
     rows = [
         (name, *(value for values in columns for value in values))
@@ -279,7 +279,7 @@ def _suspension(result: StudyResult, car: CarUnderTest) -> dict[str, Array]:
     header = (
         "mode", "f [Hz]", "damping", "f at 1 ms [Hz]", "damping at 1 ms", "f at 0.1 ms [Hz]",
         "damping at 0.1 ms",
-    )  # fmt: skip
+    )
     result.tables.append(Table("modes", "Suspension, computed and identified", header, rows))
     return {"computed": expected, "1 ms": found[step], "0.1 ms": found[fine]}
 
@@ -301,7 +301,7 @@ def _draw_rest(rests: dict[str, Standing], car: CarUnderTest) -> Any:
         left.semilogy(
             stand.time, np.maximum(1e3 * stand.drift, 1e-6), color=colour,
             label=f"{name}, below 1e-6 mm" if unseen else name,
-        )  # fmt: skip
+        )
     plots.limit_line(left, 1.0, "limit 1 mm")
     plots.label(left, "time [s]", "drift [mm]", "Standing on the brakes")
     left.set_ylim(8e-7, 1e2)
@@ -320,7 +320,7 @@ def _draw_rest(rests: dict[str, Standing], car: CarUnderTest) -> Any:
     for k, wheel in enumerate(("front left", "front right", "rear left", "rear right")):
         at = np.arange(len(rests)) + 0.2 * (k - 1.5)
         right.bar(at, [1e-3 * s.loads[k] for s in rests.values()], 0.17, color=colours[k],
-                  label=wheel)  # fmt: skip
+                  label=wheel)
         sign = 1.0 if k % 2 else -1.0
         part = share if k < 2 else 1.0 - share
         across = (f if k < 2 else r) + sign * part * side
@@ -337,12 +337,12 @@ def _draw_rest(rests: dict[str, Standing], car: CarUnderTest) -> Any:
 def _draw_modes(modes: dict[str, Array], car: CarUnderTest) -> Any:
     figure, (left, right) = plots.axes(1, 2, height=2.7)
     marks = {"computed": ("o", "none", 6.0), "1 ms": ("x", plots.ORANGE, 4.0),
-             "0.1 ms": ("+", plots.BLUE, 5.0)}  # fmt: skip
+             "0.1 ms": ("+", plots.BLUE, 5.0)}
     for name, poles in modes.items():
         mark, colour, size = marks[name]
         edge = "black" if name == "computed" else colour
         left.plot(poles.real, poles.imag / (2 * math.pi), mark, ms=size, mfc="none", mec=edge,
-                  label=name, lw=0.0)  # fmt: skip
+                  label=name, lw=0.0)
     for (name, side), pole in zip(
         {"heave": (7, -3), "pitch": (-7, -3), "roll": (7, -3), "wheel hop": (12, -3)}.items(),
         modes["computed"],
@@ -351,7 +351,7 @@ def _draw_modes(modes: dict[str, Array], car: CarUnderTest) -> Any:
         left.annotate(
             name, (pole.real, pole.imag / (2 * math.pi)), xytext=side, fontsize=6.5,
             textcoords="offset points", ha="right" if side[0] < 0 else "left",
-        )  # fmt: skip
+        )
     left.set_xlim(-60.0, 9.0)
     left.set_ylim(0.0, 14.0)
     plots.label(left, "real part [1/s]", "damped frequency [Hz]", "Poles of the suspension")
@@ -368,7 +368,7 @@ def _draw_modes(modes: dict[str, Array], car: CarUnderTest) -> Any:
         right.plot(times, 1e3 * states[:, row], color=colour, lw=1.6, label=name)
         solution = suspension.free_motion(M, C, K, np.array(start, dtype=float), times)
         right.plot(times, 1e3 * solution[:, row], color="black", lw=0.8, ls=(0, (4, 2)),
-                   label="linear model" if row else None)  # fmt: skip
+                   label="linear model" if row else None)
     plots.label(right, "time [s]", "displacement [mm]", "Free motion")
     right.legend(loc="upper right")
     return figure

@@ -73,7 +73,7 @@ def run(car: CarUnderTest) -> StudyResult:
             "vx_mps": [s.vx for s in points], "ay_mps2": [s.ay for s in points],
             "delta_rad": [s.delta for s in points], "vy_mps": [s.vy for s in points],
             "r_radps": [s.r for s in points], "roll_rad": [s.roll for s in points],
-        }))  # fmt: skip
+        }))
     result.pictures += [
         Picture(
             "handling",
@@ -108,7 +108,7 @@ def _understeer(result: StudyResult, plant: Plant, car: CarUnderTest, linear: Li
         gradient = deg_per_g(slope_at_zero([s.ay for s in states], understeer))
         last = deg_per_g(understeer[-1] / states[-1].ay)
         result.find(f"understeer gradient {name}", gradient, "deg/g",
-                    Limit.percent(expected, 3.0), why)  # fmt: skip
+                    Limit.percent(expected, 3.0), why)
         rows.append((name, gradient, last, expected))
     header = ("method", "at 0 [deg/g]", "over 1 m/s2 [deg/g]", "formula [deg/g]")
     result.tables.append(Table("understeer", "Understeer gradient by method", header, rows))
@@ -118,7 +118,7 @@ def _understeer(result: StudyResult, plant: Plant, car: CarUnderTest, linear: Li
         result.find(
             f"understeer over 1 m/s2, {vx:g} m/s", gradient, "deg/g", Limit.near(2.45, 0.25),
             TARGET, target=True,
-        )  # fmt: skip
+        )
 
 
 def _yaw_gain(result: StudyResult, plant: Plant, linear: Linear) -> Array:
@@ -130,13 +130,13 @@ def _yaw_gain(result: StudyResult, plant: Plant, linear: Linear) -> Array:
     result.find(
         "yaw gain against formula, worst error", 100.0 * error, "%", Limit.at_most(3.0),
         "vx / (L + U vx^2) to 2 m/s2 and 25 m/s; 3 % since tires soften and load moves",
-    )  # fmt: skip
+    )
     for vx, target in ((10.0, 3.09), (15.0, 3.96), (20.0, 4.39)):
         s = steady(plant, vx, 1.0)
         result.find(f"yaw gain at {vx:g} m/s", s.r / s.delta, "1/s", Limit.percent(target, 4.0),
-                    TARGET, target=True)  # fmt: skip
+                    TARGET, target=True)
     result.find("speed of the highest yaw gain", fastest_turning_speed(plant), "m/s",
-                Limit.near(25.0, 1.5), TARGET, target=True)  # fmt: skip
+                Limit.near(25.0, 1.5), TARGET, target=True)
     speeds = np.arange(4.0, 41.0, 2.0)
     gain = [s.r / s.delta for s in (steady(plant, vx, 0.5) for vx in speeds)]
     result.series.append(Series("yaw-gain", {"vx_mps": speeds, "yaw_gain_1ps": gain}))
@@ -153,25 +153,25 @@ def _sideslip_and_roll(
     result.find(
         "rear slip gradient on 100 m", deg_per_g(gradient), "deg/g",
         Limit.percent(deg_per_g(linear.rear_slip), 3.0), "linear formula, as ay goes to 0",
-    )  # fmt: skip
+    )
     roll = slope_at_zero(ay, [s.roll for s in small])
     result.find(
         "roll gradient on 100 m", deg_per_g(roll), "deg/g",
         Limit.percent(deg_per_g(linear.roll), 3.0),
         "m h / K_phi with springs, bars and tires in series, less gravity",
-    )  # fmt: skip
+    )
     s = steady(plant, 20.0, 1.0)
     result.find(
         "rear slip gradient at 20 m/s", deg_per_g(s.rear_slip(p.lr) / s.ay), "deg/g",
         Limit.near(-1.7, 0.1), TARGET, target=True,
-    )  # fmt: skip
+    )
     front, rear = effective_stiffness(s, p)
     result.find("effective front stiffness, 20 m/s", 1e-3 * front, "kN/rad",
-                Limit.near(122.0, 6.0), TARGET, target=True)  # fmt: skip
+                Limit.near(122.0, 6.0), TARGET, target=True)
     result.find("effective rear stiffness, 20 m/s", 1e-3 * rear, "kN/rad",
-                Limit.near(229.0, 12.0), TARGET, target=True)  # fmt: skip
+                Limit.near(229.0, 12.0), TARGET, target=True)
     result.find("sideslip changes its sign at", sideslip_free_speed(plant), "m/s",
-                Limit.near(23.0, 1.0), TARGET, target=True)  # fmt: skip
+                Limit.near(23.0, 1.0), TARGET, target=True)
 
 
 def _limit(
@@ -181,11 +181,11 @@ def _limit(
     result.find(
         "largest lateral acceleration, 100 m", limit, "m/s2", Limit.percent(p.ay_limit, 1.0),
         "the documented limit, by which speed profiles are planned",
-    )  # fmt: skip
+    )
     result.find(
         "largest lateral acceleration over mu g", limit / (p.mu * GRAVITY), "", Limit.at_most(1.0),
         "friction bounds it; load transfer and drive take some",
-    )  # fmt: skip
+    )
     left = [s for s in circle if s.ay > 0.0]
     angle = np.array([s.understeer(p.wheelbase) for s in left])
     ay = np.array([s.ay for s in left])
@@ -193,7 +193,7 @@ def _limit(
     result.find(
         "least understeer gradient to the limit", deg_per_g(least), "deg/g", Limit.at_least(0.0),
         "a passenger car loses its front axle first",
-    )  # fmt: skip
+    )
     asymmetry = max(
         max(abs(a.delta + b.delta), abs(a.roll + b.roll), abs(a.vy + b.vy))
         for a, b in zip(circle, reversed(circle), strict=True)
@@ -201,18 +201,18 @@ def _limit(
     result.find(
         "left against right, worst difference", asymmetry, "rad, m/s", Limit.at_most(1e-9),
         "a symmetric car: the arithmetic itself is mirrored, 1e-9 leaves room for rounding",
-    )  # fmt: skip
+    )
     rows = [
         (
             f"{s.vx:.1f}", s.ay, math.degrees(s.delta), math.degrees(math.atan2(s.vy, s.vx)),
             math.degrees(s.roll), *(f"{load:.0f}" for load in s.loads),
         )
         for s in (*left[1:-1:2], left[-1])
-    ]  # fmt: skip
+    ]
     header = (
         "vx [m/s]", "ay [m/s2]", "steer [deg]", "sideslip [deg]", "roll [deg]",
         "Fz fl [N]", "fr", "rl", "rr",
-    )  # fmt: skip
+    )
     result.tables.append(Table("circle", "Left turns on 100 m", header, rows))
 
 
@@ -232,30 +232,30 @@ def _draw_handling(
             at = np.array([s.ay for s in half])
             first = sign > 0.0
             left.plot(at, [math.degrees(s.delta) for s in half], "o-", ms=2.2, color=colour,
-                      label=name if first else None)  # fmt: skip
+                      label=name if first else None)
             geometry = L / RADIUS * sign if name == "100 m" else L * at / SPEED**2
             left.plot(at, np.degrees(geometry + U * at), color="black", lw=0.8, ls=(0, (4, 2)),
-                      label="linear formula" if first and name == "100 m" else None)  # fmt: skip
+                      label="linear formula" if first and name == "100 m" else None)
             turn = "left" if first else "right"
             mark = {("100 m", "left"): "o", ("100 m", "right"): "s", ("100 km/h", "left"): "+",
-                    ("100 km/h", "right"): "x"}[name, turn]  # fmt: skip
+                    ("100 km/h", "right"): "x"}[name, turn]
             right.plot(
                 [sign * math.degrees(s.understeer(L)) for s in half], sign * at, mark, ms=4.5,
                 mfc="none", mec=colour, mew=0.8, label=f"{name}, {turn}",
-            )  # fmt: skip
+            )
     plots.label(left, "lateral acceleration, left positive [m/s²]", "steer [deg]", "Steer")
     left.legend(loc="upper left")
     ay = np.linspace(0.0, limit, 50)
     right.plot(np.degrees(U * ay), ay, color="black", lw=0.8, ls=(0, (4, 2)),
-               label="linear formula")  # fmt: skip
+               label="linear formula")
     near = np.linspace(0.0, 2.0, 20)
     right.fill_betweenx(near, 2.2 * near / GRAVITY, 2.7 * near / GRAVITY, color=plots.RED,
-                        alpha=0.35, lw=0.0, label="target, 2.45 ± 0.25 deg/g")  # fmt: skip
+                        alpha=0.35, lw=0.0, label="target, 2.45 ± 0.25 deg/g")
     plots.limit_line(right, car.params.ay_limit, "documented limit")
     right.set_xlim(left=0.0)
     right.set_ylim(0.0, 7.6)
     plots.label(right, "front less rear slip angle [deg]", "lateral acceleration [m/s²]",
-                "Handling diagram")  # fmt: skip
+                "Handling diagram")
     right.legend(loc="lower right")
     return figure
 
@@ -273,7 +273,7 @@ def _draw_gains(gains: Array, circle: list[Steady], car: CarUnderTest, linear: L
     left.errorbar(
         [10.0, 15.0, 20.0], [3.09, 3.96, 4.39], yerr=[0.04 * g for g in (3.09, 3.96, 4.39)],
         fmt="none", ecolor=plots.RED, elinewidth=1.2, capsize=3.0, label="targets", zorder=4,
-    )  # fmt: skip
+    )
     left.axvspan(23.5, 26.5, color=plots.GREEN, alpha=0.15, lw=0.0, label="target of the peak")
     plots.label(left, "speed [m/s]", "yaw gain r / steer [1/s]", "Yaw gain")
     left.set_ylim(0.0, 5.2)
@@ -285,7 +285,7 @@ def _draw_gains(gains: Array, circle: list[Steady], car: CarUnderTest, linear: L
     ):
         right.plot(ay, np.degrees(values), "o-", ms=2.2, color=colour, label=name)
         right.plot(ay, np.degrees(slope * ay), color="black", lw=0.8, ls=(0, (4, 2)),
-                   label="linear formula" if name == "roll" else None)  # fmt: skip
+                   label="linear formula" if name == "roll" else None)
     plots.label(right, "lateral acceleration [m/s²]", "angle [deg]", "Rear sideslip and roll")
     right.legend()
     return figure

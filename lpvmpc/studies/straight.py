@@ -62,7 +62,7 @@ def run(car: CarUnderTest) -> StudyResult:
     result.find(
         "lag of force against motion", lag_of_forces(car), "steps", Limit.near(0.0, 0.05),
         "a force belongs to the state it is computed from; 1 is one step late",
-    )  # fmt: skip
+    )
     result.pictures.append(
         Picture(
             "acceleration",
@@ -119,11 +119,11 @@ def _coasting(result: StudyResult, car: CarUnderTest) -> None:
     why = "documented resistance; 2 % is the accuracy that EU 70/220 asks of a coast-down"
     result.find("rolling resistance f0", f0, "N", Limit.percent(rolling, 2.0), why)
     result.find("drag area, 2 f2 / air density", 2.0 * f2 / p.rho_air, "m2",
-                Limit.percent(p.CdA, 2.0), why)  # fmt: skip
+                Limit.percent(p.CdA, 2.0), why)
     result.find(
         "linear term f1 at 25 m/s, over force", f1 * 25.0 / (rolling + drag * 625.0), "",
         Limit.near(0.0, 0.02), why,
-    )  # fmt: skip
+    )
     result.series.append(Series("coast-down", {"v_mps": v, "force_N": force}))
     result.pictures.append(
         Picture(
@@ -150,7 +150,7 @@ def _top_speed(result: StudyResult, car: CarUnderTest) -> None:
     (expected,) = (
         root.real for root in np.roots([drag, 0.0, rolling, -p.P_drive_max])
         if abs(root.imag) < 1e-9
-    )  # fmt: skip
+    )
     plant = car.plant()
     plant.reset(vx=0.97 * expected)
     for _ in range(round(150.0 / plant.Ts)):  # the last per cent takes five time constants
@@ -158,7 +158,7 @@ def _top_speed(result: StudyResult, car: CarUnderTest) -> None:
     result.find(
         "top speed", speed, "m/s", Limit.percent(expected, 1.0),
         "power = (f0 + f2 v^2) v; 1 % for the slip of the driven wheels",
-    )  # fmt: skip
+    )
 
 
 # --- acceleration ---
@@ -211,7 +211,7 @@ def _acceleration(result: StudyResult, car: CarUnderTest) -> dict[str, tuple[Arr
         result.find(
             f"{name}, full acceleration", took, "s", Limit.percent(ideal, 2.0),
             "integral of force over mass; 2 % for the slip of the driven wheels",
-        )  # fmt: skip
+        )
         rows.append((name, took, ideal, f"{low:g} to {high:g}"))
     header = ("from rest", "simulated [s]", "integrated [s]", "real Zoe R240, published [s]")
     result.tables.append(Table("launch", "Full acceleration (no verdict)", header, rows))
@@ -248,7 +248,7 @@ def _torque(result: StudyResult, car: CarUnderTest) -> Array:
     result.find(
         "acceleration for the torque of 1 m/s2", float(gains.mean()), "m/s2",
         Limit.near(1.0, 1e-3), "T = R_w m_eff a; 0.1 % for slip",
-    )  # fmt: skip
+    )
     rows = [(f"{1e3 * dt:g} ms", *row) for dt, row in zip(STEPS, gains, strict=True)]
     header = ("physics step", *(f"{v:g} m/s" for v in SPEEDS))
     caption = "Acceleration under a constant torque [m/s2]"
@@ -294,7 +294,7 @@ def _braking(result: StudyResult, car: CarUnderTest) -> None:
     result.find(
         "brake command that locks the front", high, "m/s2", Limit.percent(expected, 3.0),
         "load, friction and brake balance at 5 m/s; 3 % for pitching",
-    )  # fmt: skip
+    )
     stops = {"just not locked": stop(plant, low), "all wheels locked": stop(plant, 14.0)}
     slide, optimum = stops["all wheels locked"], stops["just not locked"]
     # The mean of drag over distance between 0.8 and 0.1 of the speed: half the sum of squares.
@@ -303,21 +303,21 @@ def _braking(result: StudyResult, car: CarUnderTest) -> None:
         "MFDD just not locked", optimum.mfdd, "m/s2",
         Limit.percent(low * best / expected + drag / p.m_eff, 2.0),
         "command plus resistances; 2 % for pitching",
-    )  # fmt: skip
+    )
     result.find(
         "MFDD, all wheels locked", slide.mfdd, "m/s2",
         Limit.percent(sliding_deceleration(car) + drag / p.m, 2.0),
         "Magic Formula at a slip ratio of -1 and the load transferred; 2 % for pitching",
-    )  # fmt: skip
+    )
     grip = p.mu * GRAVITY
     result.find(
         "best MFDD over mu g", optimum.mfdd / grip, "", Limit.at_most(1.0),
         "friction bounds it",
-    )  # fmt: skip
+    )
     result.find(
         "turn while braking, worst", math.degrees(max(s.turn for s in stops.values())), "deg",
         Limit.at_most(1e-3), "a symmetric car brakes straight",
-    )  # fmt: skip
+    )
     rows: list[tuple[object, ...]] = [
         (name, float(s.distance[-1]), s.mfdd, s.mfdd / grip) for name, s in stops.items()
     ]
@@ -349,7 +349,7 @@ def _draw_coasting(
     figure, (left, right) = plots.axes(1, 2, height=2.6)
     left.plot(times, speeds, color=plots.BLUE, lw=1.8, label="simulated")
     left.plot(times, rolling_out(times, float(speeds[0]), car), color="black", lw=0.9,
-              ls=(0, (4, 2)), label="closed form")  # fmt: skip
+              ls=(0, (4, 2)), label="closed form")
     plots.label(left, "time [s]", "speed [m/s]", "Coasting")
     left.legend()
     expected = p.c_roll * p.m * GRAVITY + 0.5 * p.rho_air * p.CdA * v**2
@@ -378,13 +378,13 @@ def _draw_acceleration(
         left.errorbar(
             0.5 * (low + high), goal, xerr=0.5 * (high - low), fmt="none", ecolor=plots.RED,
             elinewidth=2.0, capsize=3.5, label="real Zoe, published" if first else None, zorder=4,
-        )  # fmt: skip
+        )
     plots.label(left, "time [s]", "speed [km/h]", "Full acceleration")
     left.legend(loc="lower right")
     looks = (("o", plots.SKY), ("s", plots.BLUE), ("^", plots.GREEN), ("x", plots.ORANGE))
     for dt, row, (mark, colour) in zip(STEPS, gains, looks, strict=True):
         right.plot(SPEEDS, 1e3 * (row - 1.0), marker=mark, ms=4.0, lw=0.8, mfc="none",
-                   color=colour, label=f"{1e3 * dt:g} ms")  # fmt: skip
+                   color=colour, label=f"{1e3 * dt:g} ms")
     plots.limit_line(right, -1.0)
     plots.limit_line(right, 1.0, "_")
     right.set_xlim(0.0, 36.0)

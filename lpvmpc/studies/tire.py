@@ -97,7 +97,7 @@ def _symmetry(result: StudyResult, tires: dict[str, Array]) -> None:
     result.find(
         "asymmetry (F(s)+F(-s))/Fz, worst", worst, "", Limit.at_most(1e-12),
         "a symmetric tire has no shift; 1e-12 is rounding",
-    )  # fmt: skip
+    )
 
 
 def _slopes(
@@ -119,7 +119,7 @@ def _slopes(
             f"slope of {name}, error", 100.0 * float(np.max(np.abs(error))), "%",
             Limit.at_most(0.01),
             "slope B C D of the formula; a difference quotient at a slip of 1e-6",
-        )  # fmt: skip
+        )
     p = car.params
     for axle, share, target, tolerance in (
         ("front", p.lr, 131.0, 5.0),
@@ -130,7 +130,7 @@ def _slopes(
         result.find(
             f"{axle} axle stiffness, static load", 1e-3 * stiffness, "kN/rad",
             Limit.near(target, tolerance), TARGET, target=True,
-        )  # fmt: skip
+        )
 
 
 def _cornering(c: Array, Fz: float) -> float:
@@ -150,7 +150,7 @@ def _peaks(result: StudyResult, tires: dict[str, Array]) -> None:
             f"{name} peak friction", worst, "",
             Limit.near(TABLE_2_MU, 0.004),
             "at nominal load, the paper's Table 2; 0.5 % for the grid of the sweep", target=True,
-        )  # fmt: skip
+        )
     loads = np.linspace(0.3, 2.0, 8)
     fall = [
         np.diff([peak(c, load * c[mf.FNOMIN], lateral=lateral) for load in loads]).max()
@@ -160,7 +160,7 @@ def _peaks(result: StudyResult, tires: dict[str, Array]) -> None:
     result.find(
         "rise of peak friction with load, worst", max(fall), "", Limit.at_most(0.0),
         "friction of rubber falls with load",
-    )  # fmt: skip
+    )
     half = [
         peak(c, c[mf.FNOMIN], lateral=lateral, friction=0.5)
         / peak(c, c[mf.FNOMIN], lateral=lateral)
@@ -171,7 +171,7 @@ def _peaks(result: StudyResult, tires: dict[str, Array]) -> None:
         "peak on a road of half the friction", max(half, key=lambda value: abs(value - 0.5)),
         "of full", Limit.near(0.5, 0.0025),
         "the road scales the peak; 0.5 % for the grid of the sweep",
-    )  # fmt: skip
+    )
 
 
 def _combined(result: StudyResult, tires: dict[str, Array]) -> None:
@@ -189,11 +189,11 @@ def _combined(result: StudyResult, tires: dict[str, Array]) -> None:
     result.find(
         "combined force over the ellipse, worst", filling, "", Limit.at_most(1.01),
         "the friction ellipse; cosine weights are no ellipse, 1 % is left to them",
-    )  # fmt: skip
+    )
     result.find(
         "least slip power over load and speed", power, "", Limit.at_least(0.0),
         "a sliding tire takes energy out, whatever the slips",
-    )  # fmt: skip
+    )
 
 
 def _trail(
@@ -206,7 +206,7 @@ def _trail(
             f"pneumatic trail of the {axle} tire", -1e3 * Mz / Fy, "mm",
             Limit.percent(1e3 * d[mf.R0] * d[mf.QDZ1], 0.1),
             "R0 QDZ1 at nominal load and small slip; the moment turns the wheel back",
-        )  # fmt: skip
+        )
 
 
 def _relaxation(
@@ -230,7 +230,7 @@ def _relaxation(
                 f"{axle} {name} relaxation length", length, "m",
                 Limit.percent(lengths[way], 1.0),
                 "relaxation length of MF5.2 at 4 kN; half a millimetre per step of time",
-            )  # fmt: skip
+            )
             steps[f"{name}, {axle}"] = distance, rise
             expected[f"{name}, {axle}"] = lengths[way]
     return steps, expected
@@ -257,11 +257,11 @@ def _extremes(result: StudyResult, tires: dict[str, Array], bench: Bench) -> Non
     result.find(
         "force without load, largest", loaded, "N", Limit.at_most(0.0),
         "a tire off the road makes no force",
-    )  # fmt: skip
+    )
     result.find(
         "forces not finite, also at rest", odd, "", Limit.at_most(0.0),
         "slip is never divided by speed, so standstill is no exception",
-    )  # fmt: skip
+    )
 
 
 def _golden(result: StudyResult, tires: dict[str, Array]) -> None:
@@ -278,7 +278,7 @@ def _golden(result: StudyResult, tires: dict[str, Array]) -> None:
         result.find(
             f"golden forces, {label}, error", error, "", Limit.at_most(1e-6),
             "CommonRoad's tire functions, same formula and coefficients: rounding",
-        )  # fmt: skip
+        )
 
 
 def _engine(result: StudyResult, bench: Bench, documented: dict[str, Array]) -> None:
@@ -295,7 +295,7 @@ def _engine(result: StudyResult, bench: Bench, documented: dict[str, Array]) -> 
     result.find(
         "engine against law, error over Fz", error, "", Limit.at_most(1e-9),
         "the same functions; the load comes out of coordinates of a metre: 1e-16 m x 200 kN/m",
-    )  # fmt: skip
+    )
 
 
 # --- what is shown ---
@@ -313,7 +313,7 @@ def _draw_combined(
     left.plot(
         mux * np.cos(turn), muy * np.sin(turn), color=plots.RED, ls=(0, (4, 2)), lw=0.9,
         label="friction ellipse",
-    )  # fmt: skip
+    )
     ratios = np.linspace(-0.5, 0.5, 401)
     colours = (plots.SKY, plots.GREEN, plots.BLUE, plots.ORANGE, plots.PINK)
     for angle, colour in zip((1.0, 2.0, 4.0, 8.0, 14.0), colours, strict=True):

@@ -115,25 +115,25 @@ def _steps(result: StudyResult, car: CarUnderTest) -> dict[float, SteeringRecord
         rows.append(
             (f"{vx:.1f}", *(1e3 * t for t in (yaw.t50, yaw.t90, yaw.peak)), 100.0 * yaw.overshoot,
              1e3 * lateral.t90, slow.ay[-300:].mean())
-        )  # fmt: skip
+        )
         if t90 is None:
             continue
         at = f"{vx:g} m/s"
         for name, value, target in (
             ("t50", yaw.t50, 76.0), ("t90", yaw.t90, 126.0), ("peak", yaw.peak, 200.0)
-        ):  # fmt: skip
+        ):
             result.find(f"yaw rate {name} after a step, {at}", 1e3 * value, "ms",
-                        Limit.near(target, 25.0), why, target=True)  # fmt: skip
+                        Limit.near(target, 25.0), why, target=True)
         result.find(
             f"yaw rate overshoot, {at}", 100.0 * yaw.overshoot, "%", Limit.between(4.5, 7.5),
             "handling target of 5-7 %, which is known to whole per cents", target=True,
-        )  # fmt: skip
+        )
         result.find(f"lateral acceleration t90, {at}", 1e3 * lateral.t90, "ms",
-                    Limit.near(1e3 * t90, 30.0), why, target=True)  # fmt: skip
+                    Limit.near(1e3 * t90, 30.0), why, target=True)
     header = (
         "speed [m/s]", "yaw t50 [ms]", "t90 [ms]", "peak [ms]", "overshoot [%]",
         "ay t90, servo [ms]", "steady ay [m/s2]",
-    )  # fmt: skip
+    )
     result.tables.append(Table("step", "Step of the road wheel", header, rows))
     return jumps
 
@@ -144,7 +144,7 @@ def _phases(result: StudyResult, sines: dict[float, Sines]) -> None:
         result.find(
             f"phase of yaw rate at {frequency:g} Hz, 15 m/s", math.degrees(np.angle(response)),
             "deg", Limit.near(target, 6.0), TARGET, target=True,
-        )  # fmt: skip
+        )
 
 
 def _frequency(
@@ -169,7 +169,7 @@ def _frequency(
             for key, value in (
                 ("sine gain", gain), ("sine phase", phase), ("sweep gain", gain2),
                 ("sweep phase", phase2),
-            ):  # fmt: skip
+            ):
                 worst.setdefault((name, key), []).append(float(value))
     short = {"yaw rate": "yaw rate", "lateral acceleration": "ay"}
     for name, highest in HIGHEST.items():
@@ -178,19 +178,19 @@ def _frequency(
             result.find(
                 f"{short[name]}, {way}: gain off by", max(worst[name, f"{way} gain"]), "dB",
                 Limit.at_most(1.0), why,
-            )  # fmt: skip
+            )
             result.find(
                 f"{short[name]}, {way}: phase off by", max(worst[name, f"{way} phase"]), "deg",
                 Limit.at_most(5.0), why,
-            )  # fmt: skip
+            )
     result.find(
         "answer to a sine that is not sine", 100.0 * max(s.rest for s in sines.values()), "%",
         Limit.at_most(2.0), "frequency responses mean something only for a linear car",
-    )  # fmt: skip
+    )
     header = (
         "output", "speed [m/s]", "sine gain [dB]", "sine phase [deg]", "sweep gain [dB]",
         "sweep phase [deg]",
-    )  # fmt: skip
+    )
     result.tables.append(
         Table("differences", "Largest difference to the transfer function", header, rows)
     )
@@ -221,7 +221,7 @@ def _against_model(
         result.find(
             f"step to 0.5 m/s2: {short} off by", 100.0 * value, "%", Limit.at_most(10.0),
             "transfer function under the same steer, of the steady value; 10 % is 1 dB",
-        )  # fmt: skip
+        )
     return runs
 
 
@@ -260,17 +260,17 @@ def _draw_frequency(
             for axis, line, tolerance in ((gain, db, 1.0), (phase, deg, 5.0)):
                 axis.semilogx(f, line, color=colour, lw=1.0, label=f"{vx:.1f} m/s")
                 axis.fill_between(f[near], line[near] - tolerance, line[near] + tolerance,
-                                  color=colour, alpha=0.15, lw=0.0)  # fmt: skip
+                                  color=colour, alpha=0.15, lw=0.0)
             sweep = sweeps[vx]
             for axis, found in (
                 (gain, lambda z: 20.0 * np.log10(np.abs(z))),
                 (phase, lambda z: np.degrees(np.unwrap(np.angle(z)))),
             ):
                 axis.plot(sweep.frequencies, found(sweep.outputs[:, column]), color="black", lw=0.5,
-                          label="sweep" if vx == SPEEDS[-1] else None)  # fmt: skip
+                          label="sweep" if vx == SPEEDS[-1] else None)
                 dots = found(sines[vx].outputs[:, column])
                 axis.plot(FREQUENCIES, dots, "o", ms=3.0, color=colour, mec="black", mew=0.4,
-                          zorder=5)  # fmt: skip
+                          zorder=5)
     ticks = (0.2, 0.5, 1.0, 2.0, 3.0)
     for column, name in enumerate(OUTPUTS):
         unit = "1/s" if column == 0 else "m/s² per rad"
@@ -294,7 +294,7 @@ def _draw_steps(
         left.plot(times, 100.0 * r / r[-300:].mean(), color=colour, label=f"{vx:g} m/s")
     for k, (share, target) in enumerate(((50.0, 0.076), (90.0, 0.126))):
         left.plot([target - 0.025, target + 0.025], [share] * 2, color=plots.RED, lw=2.0, zorder=4,
-                  solid_capstyle="butt", label=None if k else "targets")  # fmt: skip
+                  solid_capstyle="butt", label=None if k else "targets")
     left.fill_between([0.175, 0.225], 104.5, 107.5, color=plots.RED, alpha=0.4, lw=0.0)
     left.set_xlim(0.0, 0.6)
     left.set_ylim(0.0, 118.0)

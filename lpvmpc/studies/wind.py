@@ -122,9 +122,9 @@ def _steady(car: CarUnderTest, result: StudyResult) -> None:
     )
     limit = Limit.at_most(3.0)
     result.find("crab angle off the closed form", 100 * relative_error(crab, crab_form), "%",
-                limit, why)  # fmt: skip
+                limit, why)
     result.find("steer off the closed form", 100 * relative_error(steer, steer_form), "%",
-                limit, why)  # fmt: skip
+                limit, why)
 
     left = plant.reset(vx=20.0, wind=(0.0, 15.0), align="course")
     right = plant.reset(vx=20.0, wind=(0.0, -15.0), align="course")
@@ -132,9 +132,9 @@ def _steady(car: CarUnderTest, result: StudyResult) -> None:
     result.find(
         "left and right wind mirrored", max(map(abs, sums)), "rad, m/s", Limit.at_most(1e-6),
         "a symmetric car; the steady state itself is found to 1e-7",
-    )  # fmt: skip
+    )
     header = ("speed m/s", "wind m/s", "force N", "crab deg", "closed form", "steer deg",
-              "closed form", "roll deg")  # fmt: skip
+              "closed form", "roll deg")
     caption = "Steady side wind, driven straight: crab angle to windward, steer, roll"
     result.tables.append(Table("steady", caption, header, rows))
     result.pictures.append(
@@ -241,7 +241,7 @@ def linear_response(
     solution = solve_ivp(
         derivative, (times[0], times[-1]), np.zeros(8), t_eval=times, rtol=1e-8, atol=1e-11,
         max_step=0.01,
-    )  # fmt: skip
+    )
     return solution.y[[1, 6, 7]].T
 
 
@@ -276,9 +276,9 @@ def _gusts(car: CarUnderTest, result: StudyResult) -> None:
         off = math.sqrt(np.mean((rows[:, 0] - form[:, 0]) ** 2)) / peak
         short = gust.name.split(",")[0]
         result.find(f"yaw rate off, rms over peak, {short}", 100 * off, "%", Limit.at_most(3.0),
-                    why_shape)  # fmt: skip
+                    why_shape)
         result.find(f"drift 2 s after the {short}", rows[-1, 2], "m",
-                    Limit.percent(form[-1, 2], 3.0), why_shape)  # fmt: skip
+                    Limit.percent(form[-1, 2], 3.0), why_shape)
         result.series.append(
             Series(
                 "gust-" + short,

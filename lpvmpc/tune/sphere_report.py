@@ -156,9 +156,9 @@ def draw(study: Study) -> Figure:
             colour = colours[runs.selection]
             axis.fill_between(generation, low, high, color=colour, alpha=0.15, lw=0.0)
             axis.plot(generation, middle, color=colour, ls=dashes[runs.selection], lw=1.2,
-                      label=runs.selection)  # fmt: skip
+                      label=runs.selection)
             axis.plot(generation[-1], PAPER[runs.selection] - OPTIMUM, "D", ms=4.0, color=colour,
-                      mec="black", mew=0.5, clip_on=False, zorder=5)  # fmt: skip
+                      mec="black", mew=0.5, clip_on=False, zorder=5)
         axis.plot([], [], "D", ms=4.0, color="white", mec="black", mew=0.5, label="paper")
         axis.axhline(BAR, color="black", lw=0.7, label=f"bar for mixed, {BAR:g}")
         axis.set_yscale("log")
@@ -203,7 +203,7 @@ def _numbers(distances: Array) -> dict[str, float]:
     return {
         "median": middle, "lower_quartile": low, "upper_quartile": high,
         "worst": float(distances.max()),
-    }  # fmt: skip
+    }
 
 
 def _bounds() -> str:

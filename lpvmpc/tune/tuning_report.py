@@ -67,7 +67,7 @@ def report(tuned: Tuned, before: Sequence[dict[str, Any]], after: Sequence[dict[
              "speed RMSE [m/s]", ""),
             _driven_rows(before, after),
         ),
-    ]  # fmt: skip
+    ]
     for result in tuned.results:
         lines += [
             f"- Generation {f.generation}, individual {f.individual}: {f.text}"
@@ -162,9 +162,9 @@ def draw(tuned: Tuned) -> Figure:
             count = [begin + first + step * k for k in range(len(result.history))]
             label = SEARCHES[stage.method]
             axis.step(count, [g.best for g in result.history], where="post", color=colour, lw=1.3,
-                      label=f"{label}, best")  # fmt: skip
+                      label=f"{label}, best")
             axis.plot(count, [g.mean for g in result.history], color=colour, lw=0.8, ls=":",
-                      label=f"{label}, mean")  # fmt: skip
+                      label=f"{label}, mean")
             begin += result.evaluations
         axis.axvline(tuned.task.budget, color=GREY, lw=0.7)
         axis.set_yscale("log")
@@ -192,7 +192,7 @@ def _search_row(stage: Stage, result: Result) -> tuple[object, ...]:
         SEARCHES[stage.method], len(stage.space.ranges), settings.population,
         settings.generations, result.evaluations, f"{history[0].best:.5f}", f"{result.cost:.5f}",
         len(result.failures),
-    )  # fmt: skip
+    )
 
 
 def _weight_rows(tuned: Tuned) -> list[tuple[str, ...]]:

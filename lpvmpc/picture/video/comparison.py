@@ -183,7 +183,7 @@ class Strip:
             curve = np.round(8.0 * np.stack([u, v], axis=1)).astype(np.int32)
             cv2.polylines(seen, [curve], False, tuple(c // 3 for c in ink), 1, cv2.LINE_AA, 3)
             cv2.line(seen, (x, self._px(20)), (x + self._px(22), self._px(20)), bright,
-                     self._px(3), cv2.LINE_AA)  # fmt: skip
+                     self._px(3), cv2.LINE_AA)
             self._text(seen, side.name, (x + self._px(30), self._px(25)), 16, INK, 500)
             x += self._px(60) + self._wide(side.name, 16)
             self.curves.append((curve, bright))
@@ -194,7 +194,7 @@ class Strip:
         for curve, ink in self.curves:
             if 0 < k < len(curve):
                 cv2.polylines(self.seen, [curve[k - 1 : k + 1]], False, ink, self._px(2),
-                              cv2.LINE_AA, 3)  # fmt: skip
+                              cv2.LINE_AA, 3)
         frame[:] = self.seen
         for curve, ink in self.curves:
             u, v = (curve[min(k, len(curve) - 1)] // 8).tolist()

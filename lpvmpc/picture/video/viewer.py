@@ -27,7 +27,7 @@ class Viewer:
             warnings.simplefilter("ignore", glfw.GLFWError)  # said in our own words instead
             if not glfw.init():
                 raise RenderError("--view cannot open a window on this display; --render makes a "
-                                  "video without one.")  # fmt: skip
+                                  "video without one.")
         self.plant = plant
         self.scenery = scenery.build(road, width=1280, height=720)
         self.data = mujoco.MjData(self.scenery.model)

@@ -111,7 +111,7 @@ def draw_stops(
         left.plot(s.distance, s.speed / KMH, color=colour, label=name)
     way = np.linspace(0.0, V0**2 / (2.0 * grip), 100)
     left.plot(way, np.sqrt(np.maximum(V0**2 - 2.0 * grip * way, 0.0)) / KMH, color=plots.RED,
-              lw=0.9, ls=(0, (4, 2)), label="mu g")  # fmt: skip
+              lw=0.9, ls=(0, (4, 2)), label="mu g")
     plots.label(left, "distance [m]", "speed [km/h]", "Braking from 100 km/h, ramp of 1 s")
     left.set_ylim(0.0, 105.0)
     left.legend(loc="lower left")
@@ -121,7 +121,7 @@ def draw_stops(
     right.axhline(
         sliding_deceleration(car), color=plots.ORANGE, lw=0.9, ls=(0, (4, 2)),
         label="all sliding, computed",
-    )  # fmt: skip
+    )
     right.set_ylim(0.0, 9.0)
     plots.label(right, "commanded deceleration [m/s²]", "MFDD [m/s²]", "Use of friction")
     right.legend(loc="lower right")

@@ -141,16 +141,16 @@ def judge(car: CarUnderTest, result: StudyResult) -> None:
     result.find(
         "onset of chatter off the closed form", 100.0 * float(np.abs(off).max()), "%",
         Limit.at_most(10.0), "one wheel and a quarter of the car, which does not pitch or heave",
-    )  # fmt: skip
+    )
     result.find(
         "smallest step that chatters", 1e3 * min(onsets), "ms", Limit.at_least(1e3 * LARGEST),
         "the largest step that Plant accepts",
-    )  # fmt: skip
+    )
     stops = {h: stop(car, h) for h in (DEFAULT, LARGEST)}
     result.find(
         "chatter after a stop, 1 and 2 ms", max(stops.values()), "m/s2", Limit.at_most(0.01),
         "a thousandth of g: a standing car stands",
-    )  # fmt: skip
+    )
     header = ("speed m/s", "onset ms", "closed form ms", "off %")
     rows = [
         (f"{vx:g}", 1e3 * onset, 1e3 * form, 100.0 * (onset / form - 1.0))

@@ -21,7 +21,7 @@ STEER_QPOS, STEER_QVEL = (8, 11), (7, 10)
 """Columns of the two steered hinges."""
 SLIP, CARCASS = "tire slip", "tire carcass"
 FLOWS = ("drive", "brakes", "rolling", SLIP, CARCASS, "tire damping", "dampers", "air",
-         "steering", "stops")  # fmt: skip
+         "steering", "stops")
 """Powers of the ledger: what enters the car, negative for what leaves it."""
 STORES = ("kinetic", "gravity", "springs", "tire springs")
 """Energies of the ledger."""
@@ -97,7 +97,7 @@ def record(plant: Plant, commands: Array, repeat: int) -> Recording:
     out = Recording(
         np.empty((n + 1, m.nq)), np.empty((n + 1, m.nv)), np.empty((n + 1, m.na)),
         np.empty((n, m.nuserdata)), np.empty((n, 2)), np.empty((n, 2)), np.empty((n, m.nv)),
-    )  # fmt: skip
+    )
     k = 0
     for delta, ax in commands:
         command = Command(float(delta), float(ax))

@@ -131,7 +131,7 @@ def _integrals(n: int, h: float) -> tuple[Array, Array]:
 def _sides(
     points: Array, x: Array, psi: Array, to_slope: Array, to_y: Array, outline: Outline,
     margin: float,
-) -> tuple[Array, Array]:  # fmt: skip
+) -> tuple[Array, Array]:
     """Rows A, b of A y'' <= b: where a side of the car is beside a point, it stays inside it."""
     rows, room = [], []
     for at, edge, side in points:
@@ -145,7 +145,7 @@ def _sides(
 def _solve(
     to_slope: Array, to_y: Array, sides: Array, room: Array, stretch: Array, h: float,
     build_up: float,
-) -> Array:  # fmt: skip
+) -> Array:
     """One linear programme over y'' and the peaks of curvature and of its rate."""
     n = len(stretch)
     curvature, rate = np.diag(1.0 / stretch), np.diff(np.eye(n), axis=0) / h
@@ -161,7 +161,7 @@ def _solve(
     solution = linprog(
         cost, A_ub=csr_matrix(np.vstack(blocks)), b_ub=upper, A_eq=csr_matrix(ends),
         b_eq=np.zeros(4), bounds=[(None, None)] * n + [(0.0, None)] * 2, method="highs",
-    )  # fmt: skip
+    )
     assert solution.status == 0, solution.message
     bending: Array = solution.x[:n]
     return bending

@@ -120,12 +120,12 @@ def judge(p: VehicleParams, springs: Springs, ramp: Array, result: StudyResult) 
     expected = lift_thresholds(p, springs)
     why = "second order in the roll angle of 0.1 rad; the third is 1 %"
     for name, pull, form in zip(("rear wheel lifts at", "front wheel lifts, car tips, at"), pulls,
-                                expected, strict=True):  # fmt: skip
+                                expected, strict=True):
         result.find(name, pull, "g", Limit.percent(form, 2.0), why)
     result.find(
         "tips at, over the limit of grip", pulls[1] * GRAVITY / p.ay_limit, "", Limit.at_least(1.0),
         "a passenger car on a flat road slides before it tips",
-    )  # fmt: skip
+    )
     columns = ("pull_g", "Fz_fl_N", "Fz_fr_N", "Fz_rl_N", "Fz_rr_N", "roll_rad", "moved_m")
     result.series.append(
         Series("rollover", {name: ramp[::5, i] for i, name in enumerate(columns)})

@@ -58,11 +58,11 @@ def loads_table(tires: dict[str, Array]) -> Table:
                     1e-3 * mf.slip_stiffness(c, Fz), 1e-3 * mf.cornering_stiffness(c, Fz),
                     1e3 * mf.pneumatic_trail(c, 0.0, Fz), sigma_x, sigma_y,
                 )
-            )  # fmt: skip
+            )
     header = (
         "tire", "load [N]", "mu x", "mu y", "Kx [kN]", "Ky [kN/rad]", "trail [mm]",
         "sigma x [m]", "sigma y [m]",
-    )  # fmt: skip
+    )
     return Table("loads", "One tire at the loads of the sweeps", header, rows)
 
 

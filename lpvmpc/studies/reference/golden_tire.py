@@ -41,7 +41,7 @@ ADAMS = {
     "RBY1": 7.1433, "RBY2": 9.1916, "RCY1": 1.0719, "REY1": -0.27572,
     "PTX1": 2.3657, "PTX2": 1.4112, "PTY1": 2.1439, "PTY2": 1.9829,
     "QBZ1": 10.904, "QCZ1": 1.2136, "QDZ1": 0.093509, "QSY1": 0.01,
-}  # fmt: skip
+}
 """A 245/40 R18 tire, known from the Adams handbook, as Project Chrono publishes it
 (data/vehicle/sedan/tire/Sedan_Pac02Tire.tir, BSD-3), its shifts and camber terms left out: a tire
 that is not ours, so that the comparison does not hang on our coefficients."""
@@ -91,7 +91,7 @@ def compute() -> dict[str, Any]:
                 p_ky1=slope_y / Fz,
                 r_bx1=c["RBX1"], r_bx2=c["RBX2"], r_cx1=c["RCX1"], r_ex1=c["REX1"],
                 r_by1=c["RBY1"], r_by2=c["RBY2"], r_cy1=c["RCY1"], r_ey1=c["REY1"],
-            ))  # fmt: skip
+            ))
             for kappa in SLIPS:
                 for alpha in SLIPS:
                     Fx = theirs.formula_longitudinal(-kappa, 0.0, Fz, p)

@@ -105,7 +105,7 @@ def translate(model: mujoco.MjModel) -> Parameters:
     springs = [float(np.ravel(model.jnt_stiffness[joint.id])[0]) for joint in joints]
     dampers = [float(model.dof_damping[joint.dofadr[0]]) for joint in joints]
     bars = [float(np.ravel(model.tendon_stiffness[model.tendon(f"antiroll_{a}").id])[0])
-            for a in "fr"]  # fmt: skip
+            for a in "fr"]
     inertia = np.zeros(9)
     mujoco.mju_quat2Mat(inertia, model.body_iquat[chassis])
     R = inertia.reshape(3, 3)
@@ -132,13 +132,13 @@ def translate(model: mujoco.MjModel) -> Parameters:
         I_uf=unsprung[0] * (p.track_f / 2.0) ** 2, I_ur=unsprung[1] * (p.track_r / 2.0) ** 2,
         I_y_w=p.J_w, K_lt=0.0, R_w=p.R_w, T_sb=p.brake_front, T_se=1.0,
         D_f=0.0, D_r=0.0, E_f=0.0, E_r=0.0,
-    )  # fmt: skip
+    )
 
 
 def _tire_set(c: Array, load: float, axle_stiffness: float) -> SimpleNamespace:
     """One axle's tires in their coefficients, at their static load; no shifts, no camber."""
     zeros = ("p_dx3", "p_hx1", "p_vx1", "r_hx1", "p_dy3", "p_hy1", "p_hy3", "p_vy1", "p_vy3",
-             "r_by3", "r_hy1", "r_vy1", "r_vy3", "r_vy4", "r_vy5", "r_vy6")  # fmt: skip
+             "r_by3", "r_hy1", "r_vy1", "r_vy3", "r_vy4", "r_vy5", "r_vy6")
     return SimpleNamespace(
         p_cx1=c[mf.PCX1], p_dx1=c[mf.PDX1], p_ex1=c[mf.PEX1], p_kx1=c[mf.PKX1],
         r_bx1=c[mf.RBX1], r_bx2=c[mf.RBX2], r_cx1=c[mf.RCX1], r_ex1=c[mf.REX1],
@@ -146,7 +146,7 @@ def _tire_set(c: Array, load: float, axle_stiffness: float) -> SimpleNamespace:
         p_ky1=-0.5 * axle_stiffness / load,
         r_by1=c[mf.RBY1], r_by2=c[mf.RBY2], r_cy1=c[mf.RCY1], r_ey1=c[mf.REY1],
         **dict.fromkeys(zeros, 0.0),
-    )  # fmt: skip
+    )
 
 
 def drive(steer_rate: Any, seconds: float, every: float, side: float = 1.0) -> Array:
@@ -179,7 +179,7 @@ def drive(steer_rate: Any, seconds: float, every: float, side: float = 1.0) -> A
     solution = solve_ivp(
         derivative, (0.0, seconds), start, "LSODA", t_eval=times, rtol=1e-8, atol=1e-10,
         max_step=0.02,
-    )  # fmt: skip
+    )
     assert solution.status == 0, solution.message
     assert p.handed_out % 16 == 0  # four tire functions, four wheels each
     rows: Array = solution.y[list(_COLUMNS)].T * _SIGNS
