@@ -39,9 +39,11 @@ def made_up(changes=None, cases=CASES):
     """All rows, with what is changed: (case, model, observer) -> result."""
     changes = changes or {}
     return [
-        DrivenCase(case=case, model=model, observer=observer,
+        DrivenCase(
+            case=case, model=model, observer=observer,
             result=changes.get((case.key, model.key, observer),
-                               result(GOOD[model.key] * (1.0 if observer else 2.0))))
+                               result(GOOD[model.key] * (1.0 if observer else 2.0))),
+        )
         for case in cases for observer in (True, False) for model in case.models()
         if not (observer and model is PLAIN)
     ]

@@ -25,6 +25,7 @@ from lpvmpc.kit.findings import Finding, promises_sentence, promises_table
 from lpvmpc.kit.markdown import markdown_table
 from lpvmpc.kit.provenance import machine
 from lpvmpc.kit.report import csv_text, record, versions_line
+from lpvmpc.picture import style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -291,49 +292,40 @@ def as_json(
     }
 
 
+@style.styled
 def draw(rows: Sequence[DrivenCase]) -> Figure:
     """The picture: errors on the circuit over the share of the grip, log scale."""
-    import matplotlib
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    from lpvmpc.picture import figures as house
-
     styles = {
-        "constant": (house.GREY, "o", "-"), "constant-best": ("black", "o", "-"),
-        "network-secant": (house.ORANGE, "s", "-"), "network": (house.BLUE, "D", "-"),
-        "oracle-secant": (house.ORANGE, "s", "--"), "oracle": (house.BLUE, "D", "--"),
-        "lpv-mpc-paper": (house.RED, "^", "-"),
+        "constant": (style.GREY, "o", "-"), "constant-best": ("black", "o", "-"),
+        "network-secant": (style.ORANGE, "s", "-"), "network": (style.BLUE, "D", "-"),
+        "oracle-secant": (style.ORANGE, "s", "--"), "oracle": (style.BLUE, "D", "--"),
+        "lpv-mpc-paper": (style.RED, "^", "-"),
     }
     rows = [row for row in rows if row.case.group == "grip"]
-    with matplotlib.rc_context({**matplotlib.rcParamsDefault, **house.STYLE}):
-        figure = Figure(figsize=(house.DOUBLE, 5.2))
-        FigureCanvasAgg(figure)
-        grid = figure.subplots(2, 2, sharex=True, sharey="row")
-        for line, measure in zip(grid, ("rmse", "largest"), strict=True):
-            for axes, observer in zip(line, (True, False), strict=True):
-                for i, (m, _) in enumerate(e for e in _lines(rows) if e[1] == observer):
-                    own = [r for r in rows if r.model is m and r.observer == observer]
-                    colour, marker, dash = styles[m.key]
-                    grip = [100.0 * r.case.options["grip"] for r in own]
-                    error = [1e3 * getattr(r, measure) if r.completed else None for r in own]
-                    face = "white" if dash == "--" else colour
-                    axes.plot(grip, error, dash, color=colour, marker=marker, ms=3, mfc=face,
-                              label=m.key)
-                    lost = [g for g, e in zip(grip, error, strict=True) if e is None]
-                    # one above the other, where several models lose the car at the same speed
-                    height = 1e3 * CHARGE * 1.3 ** (i + 1)
-                    axes.plot(lost, [height] * len(lost), "x", color=colour, ms=4, mew=1.2)
-                axes.axhline(1e3 * CHARGE, color="black", lw=0.6, ls=":")
-                axes.set_yscale("log")
-                axes.set_ylim(top=1e3 * CHARGE * 1.3 ** (len(styles) + 1))
-        for axes, title in zip(grid[0], ("with the observer", "without it"), strict=True):
-            axes.set_title(title)
-        grid[0, 0].set_ylabel("lateral RMSE [mm]")
-        grid[1, 0].set_ylabel("largest lateral error [mm]")
-        for axes in grid[1]:
-            axes.set_xlabel("share of the grip [%]")
-        handles, labels = grid[0, 1].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=4, handlelength=2.4)
-        figure.canvas.draw()
+    figure, grid = style.axes(2, 2, height=5.2, sharex=True, sharey="row")
+    for line, measure in zip(grid, ("rmse", "largest"), strict=True):
+        for axes, observer in zip(line, (True, False), strict=True):
+            for i, (m, _) in enumerate(e for e in _lines(rows) if e[1] == observer):
+                own = [r for r in rows if r.model is m and r.observer == observer]
+                colour, marker, dash = styles[m.key]
+                grip = [100.0 * r.case.options["grip"] for r in own]
+                error = [1e3 * getattr(r, measure) if r.completed else None for r in own]
+                face = "white" if dash == "--" else colour
+                axes.plot(grip, error, dash, color=colour, marker=marker, ms=3, mfc=face,
+                          label=m.key)
+                lost = [g for g, e in zip(grip, error, strict=True) if e is None]
+                # one above the other, where several models lose the car at the same speed
+                height = 1e3 * CHARGE * 1.3 ** (i + 1)
+                axes.plot(lost, [height] * len(lost), "x", color=colour, ms=4, mew=1.2)
+            axes.axhline(1e3 * CHARGE, color="black", lw=0.6, ls=":")
+            axes.set_yscale("log")
+            axes.set_ylim(top=1e3 * CHARGE * 1.3 ** (len(styles) + 1))
+    for axes, title in zip(grid[0], ("with the observer", "without it"), strict=True):
+        axes.set_title(title)
+    grid[0, 0].set_ylabel("lateral RMSE [mm]")
+    grid[1, 0].set_ylabel("largest lateral error [mm]")
+    for axes in grid[1]:
+        axes.set_xlabel("share of the grip [%]")
+    handles, labels = grid[0, 1].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, handlelength=2.4)
     return figure

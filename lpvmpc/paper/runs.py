@@ -44,16 +44,16 @@ class RoadCase:
 CASES = (
     RoadCase(key="paper", title="paper", scenario="paper", ablated=True),
     RoadCase(key="paper-third", title="paper, wind / 3", scenario="paper",
-         options={"wind_scale": AUTHORS_WIND}),
+             options={"wind_scale": AUTHORS_WIND}),
     RoadCase(key="paper-loop", title="paper-loop", scenario="paper-loop", ablated=True),
     RoadCase(key="double-lane-change", title="lane change", scenario="double-lane-change",
-         ablated=True),
+             ablated=True),
     RoadCase(key="slalom", title="slalom", scenario="slalom"),
     RoadCase(key="skidpad", title="skidpad", scenario="skidpad"),
     RoadCase(key="circuit-0.5", title="circuit 50 %", scenario="circuit", options={"grip": 0.5},
-         ablated=True),
+             ablated=True),
     RoadCase(key="circuit-0.87", title="circuit 87 %", scenario="circuit", options={"grip": 0.87},
-         ablated=True),
+             ablated=True),
 )
 """All roads; none of them tunes the weights."""
 QUICK = ("paper", "paper-third", "double-lane-change")

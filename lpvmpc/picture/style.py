@@ -62,6 +62,33 @@ def blank(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height))
 
 
+def axes(
+    rows: int = 1, columns: int = 1, *, width: float = DOUBLE, height: float = 2.6, **options: Any
+) -> tuple[Figure, Any]:
+    """An empty figure with its axes; call it under `styled`.
+
+    Args:
+        rows: Rows of axes.
+        columns: Columns of axes.
+        width: [inch], COLUMN or DOUBLE.
+        height: [inch].
+        **options: Those of Figure.subplots.
+
+    Returns:
+        Figure, and one axes or an array of them, as Figure.subplots returns.
+    """
+    figure = blank(width, height)
+    return figure, figure.subplots(rows, columns, **options)
+
+
+def label(axis: Axes, x: str, y: str, title: str = "") -> None:
+    """Names of the axes, with units, and a title."""
+    axis.set_xlabel(x)
+    axis.set_ylabel(y)
+    if title:
+        axis.set_title(title)
+
+
 def y_label(axis: Axes, text: str, *, legend: int = 0, zero: bool = False) -> None:
     """Label of y, room for a legend of `legend` columns above the curves, a line at zero."""
     axis.set_ylabel(text)
@@ -77,3 +104,13 @@ def peak(values: Any) -> float:
     """Largest magnitude of the finite values, never zero."""
     values = np.asarray(values, dtype=float)
     return max(float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0)), 1e-9)
+
+
+def limit_line(axis: Axes, y: float, text: str = "limit", **options: Any) -> None:
+    """A horizontal limit: dashed, red."""
+    axis.axhline(y, **{"color": RED, "lw": 0.9, "ls": (0, (4, 2)), "label": text, **options})
+
+
+def limit_band(axis: Axes, x: Any, low: Any, high: Any, text: str = "tolerance") -> None:
+    """The allowed band around an expected curve: shaded."""
+    axis.fill_between(x, low, high, color=RED, alpha=0.15, lw=0.0, label=text)

@@ -17,9 +17,9 @@ from lpvmpc.car.bicycle import Bicycle
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.interface import Command
 from lpvmpc.kit.findings import Limit, Table
+from lpvmpc.picture import style
 from lpvmpc.plant.mjcf import tires
 from lpvmpc.plant.plant import Plant
-from lpvmpc.studies import plots
 from lpvmpc.studies.reference import multibody
 from lpvmpc.studies.reference.multibody import SPEED
 from lpvmpc.studies.study import CarUnderTest, Picture, Series, StudyResult
@@ -338,25 +338,25 @@ def _symmetry(car: CarUnderTest, result: StudyResult) -> None:
 # --- pictures ---
 
 LOOKS = {
-    LINEAR: (plots.ORANGE, (0, (4, 2))),
-    AXLES: (plots.GREEN, (0, (1, 1.5))),
-    MULTIBODY: (plots.RED, "-"),
+    LINEAR: (style.ORANGE, (0, (4, 2))),
+    AXLES: (style.GREEN, (0, (1, 1.5))),
+    MULTIBODY: (style.RED, "-"),
 }
 
 
-@plots.styled
+@style.styled
 def _steady_picture(ours: Array, models: dict[str, Array]) -> Figure:
-    figure, (yaw, sideslip) = plots.axes(1, 2, height=2.8)
+    figure, (yaw, sideslip) = style.axes(1, 2, height=2.8)
     ay, delta, r, beta = ours.T
     gain, slip = r / delta, np.degrees(beta)
     low, high = gain * (1.0 - PARTED), gain * (1.0 + PARTED)
-    yaw.fill_between(ay, low, high, color=plots.BLUE, alpha=0.2, lw=0)
+    yaw.fill_between(ay, low, high, color=style.BLUE, alpha=0.2, lw=0)
     off = math.degrees(PARTED_SIDESLIP)
-    sideslip.fill_between(ay, slip - off, slip + off, color=plots.BLUE, alpha=0.2, lw=0)
+    sideslip.fill_between(ay, slip - off, slip + off, color=style.BLUE, alpha=0.2, lw=0)
     for name in MODELS:
-        color, style = LOOKS[name]
-        yaw.plot(ay, models[name][:, 0] / delta, color=color, ls=style, label=name)
-        sideslip.plot(ay, np.degrees(models[name][:, 1]), color=color, ls=style)
+        color, dashes = LOOKS[name]
+        yaw.plot(ay, models[name][:, 0] / delta, color=color, ls=dashes, label=name)
+        sideslip.plot(ay, np.degrees(models[name][:, 1]), color=color, ls=dashes)
         for axis, difference, bound in (
             (yaw, models[name][:, 0] / r - 1.0, PARTED),
             (sideslip, models[name][:, 1] - beta, PARTED_SIDESLIP),
@@ -364,31 +364,31 @@ def _steady_picture(ours: Array, models: dict[str, Array]) -> Figure:
             where = crossover(ay, difference, bound)
             if where < ay[-1]:
                 axis.axvline(where, color=color, lw=0.8, ls=":")
-    yaw.plot(ay, gain, "o-", ms=3, color=plots.BLUE, label="simulation", zorder=1.9)
-    sideslip.plot(ay, slip, "o-", ms=3, color=plots.BLUE, zorder=1.9)
-    plots.label(yaw, "lateral acceleration [m/s²]", "yaw rate over steer [1/s]", "Yaw gain")
-    plots.label(sideslip, "lateral acceleration [m/s²]", "sideslip [deg]", "Sideslip")
+    yaw.plot(ay, gain, "o-", ms=3, color=style.BLUE, label="simulation", zorder=1.9)
+    sideslip.plot(ay, slip, "o-", ms=3, color=style.BLUE, zorder=1.9)
+    style.label(yaw, "lateral acceleration [m/s²]", "yaw rate over steer [1/s]", "Yaw gain")
+    style.label(sideslip, "lateral acceleration [m/s²]", "sideslip [deg]", "Sideslip")
     figure.legend(*yaw.get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure
 
 
-@plots.styled
+@style.styled
 def _transient_picture(ours: Array, models: dict[str, Array]) -> Figure:
-    figure, axes = plots.axes(2, 2, height=3.6, sharex=True, height_ratios=(1.5, 1.0))
+    figure, axes = style.axes(2, 2, height=3.6, sharex=True, height_ratios=(1.5, 1.0))
     t = ours[:, 0]
     for column, (i, title) in enumerate(((2, "Yaw rate"), (3, "Sideslip"))):
         curve, rest = axes[:, column]
         own = np.degrees(ours[:, i])
-        curve.plot(t, own, color=plots.BLUE, lw=1.6, label="simulation")
+        curve.plot(t, own, color=style.BLUE, lw=1.6, label="simulation")
         for name in MODELS:
-            color, style = LOOKS[name]
+            color, dashes = LOOKS[name]
             line = np.degrees(models[name][:, i - 2])
-            curve.plot(t, line, color=color, ls=style, label=name)
-            rest.plot(t, line - own, color=color, ls=style)
+            curve.plot(t, line, color=color, ls=dashes, label=name)
+            rest.plot(t, line - own, color=color, ls=dashes)
         unit = "deg/s" if i == 2 else "deg"
-        plots.label(curve, "", f"{title.lower()} [{unit}]", title)
-        plots.label(rest, "time [s]", f"difference [{unit}]")
-        rest.axhline(0.0, color=plots.GREY, lw=0.5, zorder=1)
+        style.label(curve, "", f"{title.lower()} [{unit}]", title)
+        style.label(rest, "time [s]", f"difference [{unit}]")
+        rest.axhline(0.0, color=style.GREY, lw=0.5, zorder=1)
     figure.align_ylabels(axes[:, 0])
     figure.align_ylabels(axes[:, 1])
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)

@@ -11,6 +11,7 @@ import numpy as np
 
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.kit.findings import Limit, Table
+from lpvmpc.picture import style
 from lpvmpc.road import cones
 from lpvmpc.road.cones import Course
 from lpvmpc.road.path import Path
@@ -18,7 +19,6 @@ from lpvmpc.road.scenario import Scenario
 from lpvmpc.road.speed_profile import SpeedProfile
 from lpvmpc.sim.loop import simulate
 from lpvmpc.sim.names import load_controller
-from lpvmpc.studies import plots
 from lpvmpc.studies.parts import gates
 from lpvmpc.studies.parts.gates import FlatPath, Outline
 from lpvmpc.studies.study import CarUnderTest, Picture, Series, StudyResult
@@ -294,19 +294,19 @@ def _table(best: dict[tuple[str, str], Passage | None]) -> Table:
 # --- pictures ---
 
 
-@plots.styled
+@style.styled
 def _top_view(
     courses: tuple[Course, ...], paths: dict[str, FlatPath],
     best: dict[tuple[str, str], Passage | None], outline: Outline,
 ) -> Figure:
-    figure, axes = plots.axes(len(courses), 1, height=2.7, sharex=True)
+    figure, axes = style.axes(len(courses), 1, height=2.7, sharex=True)
     for axis, course in zip(axes, courses, strict=True):
         for lane in course.lanes:
             low = lane.middle - lane.width / 2.0
             axis.fill_between([lane.start, lane.end], low, low + lane.width, color="#EEEEEE", lw=0)
         x, y, side = course.cones.T
         y = y + side * SYMBOL  # the base touches the lane's edge from outside
-        axis.plot(x, y, "o", ms=3.0, color=plots.RED, lw=0, label="cones")
+        axis.plot(x, y, "o", ms=3.0, color=style.RED, lw=0, label="cones")
         flat = paths[course.name]
         axis.plot(flat.x, flat.y, color="black", lw=0.8, ls=(0, (3, 2)), label="reference path",
                   zorder=4)
@@ -315,10 +315,10 @@ def _top_view(
         if one is not None:
             title += f": entered at {3.6 * one.entry:.0f} km/h"
             x, y, _ = one.poses.T
-            axis.plot(x, y, color=plots.SKY, lw=2.0, label="centre of mass")
+            axis.plot(x, y, color=style.SKY, lw=2.0, label="centre of mass")
             for t in np.arange(one.t[0], one.t[-1], 0.5):
                 _draw_car(axis, one.poses[np.searchsorted(one.t, t)], outline)
-        plots.label(axis, "", "y [m]", title)
+        style.label(axis, "", "y [m]", title)
         axis.set_aspect(STRETCH)
         axis.grid(False)
         axis.set_xlim(-12.0, 135.0)
@@ -334,16 +334,16 @@ def _draw_car(axis: Axes, pose: Array, outline: Outline) -> None:
     corners = [(front, half), (front, -half), (-rear, -half), (-rear, half), (front, half)]
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     turned = np.array(corners) @ np.array([[cos, sin], [-sin, cos]]) + pose[:2]
-    axis.plot(*turned.T, color=plots.BLUE, lw=0.6)
+    axis.plot(*turned.T, color=style.BLUE, lw=0.6)
 
 
-@plots.styled
+@style.styled
 def _clearance_picture(
     courses: tuple[Course, ...], drives: dict[tuple[str, str], list[Passage]], result: StudyResult
 ) -> Figure:
-    figure, axes = plots.axes(1, len(courses), height=2.5, sharey=True)
+    figure, axes = style.axes(1, len(courses), height=2.5, sharey=True)
     for axis, course in zip(axes, courses, strict=True):
-        for stiffness, color in zip(STIFFNESS, (plots.BLUE, plots.ORANGE), strict=True):
+        for stiffness, color in zip(STIFFNESS, (style.BLUE, style.ORANGE), strict=True):
             passages = drives[course.name, stiffness]
             speeds = [3.6 * one.entry for one in passages]
             gaps = [1e3 * max(one.clearance, -0.3) for one in passages]
@@ -353,9 +353,9 @@ def _clearance_picture(
             if finding.figure.startswith(course.name.split(",")[0]):
                 for bound in (finding.limit.low, finding.limit.high):
                     if math.isfinite(bound):
-                        axis.axvline(bound, color=plots.RED, lw=0.9, ls=(0, (4, 2)))
-        plots.label(axis, "entry speed [km/h]", "", course.name)
+                        axis.axvline(bound, color=style.RED, lw=0.9, ls=(0, (4, 2)))
+        style.label(axis, "entry speed [km/h]", "", course.name)
     axes[0].set_ylabel("closest cone [mm]")
-    axes[0].plot([], [], color=plots.RED, lw=0.9, ls=(0, (4, 2)), label="limits")
+    axes[0].plot([], [], color=style.RED, lw=0.9, ls=(0, (4, 2)), label="limits")
     axes[0].legend(loc="lower left")
     return figure

@@ -10,7 +10,7 @@ import numpy as np
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.interface import Command
 from lpvmpc.kit.findings import Limit, Table
-from lpvmpc.studies import plots
+from lpvmpc.picture import style
 from lpvmpc.studies.parts import rollover
 from lpvmpc.studies.parts.rollover import Springs
 from lpvmpc.studies.study import CarUnderTest, Picture, StudyResult
@@ -209,29 +209,29 @@ def _straight(car: CarUnderTest, springs: Springs, result: StudyResult) -> Array
 # --- picture ---
 
 
-@plots.styled
+@style.styled
 def _transfer_picture(p: VehicleParams, circles: Array, straight: Array) -> Figure:
-    figure, (side, along) = plots.axes(1, 2, height=2.5)
+    figure, (side, along) = style.axes(1, 2, height=2.5)
     ay = np.linspace(0.0, 7.0, 50)
     form = np.array([lateral_transfer(p, a) for a in ay])
-    for i, (name, color) in enumerate((("front axle", plots.BLUE), ("rear axle", plots.ORANGE))):
+    for i, (name, color) in enumerate((("front axle", style.BLUE), ("rear axle", style.ORANGE))):
         side.plot(ay, form[:, i], color=color, lw=0.8)
         side.fill_between(ay, 0.98 * form[:, i], 1.02 * form[:, i], color=color, alpha=0.25, lw=0)
         side.plot(circles[:, 0], circles[:, 1 + i], "o", ms=3.5, color=color, label=name)
-    side.axvline(p.ay_limit, color=plots.GREY, lw=0.8, ls=":", label="limit of grip")
-    plots.label(side, "lateral acceleration [m/s²]", "transfer, outer wheel gains [N]",
+    side.axvline(p.ay_limit, color=style.GREY, lw=0.8, ls=":", label="limit of grip")
+    style.label(side, "lateral acceleration [m/s²]", "transfer, outer wheel gains [N]",
                 "Circles of 100 m, left and right")
     side.set_xlim(0.0, None)
     side.set_ylim(0.0, None)
     side.legend(loc="upper left")
     order = np.argsort(straight[:, 0])
     force, gained, line = straight[order].T
-    along.plot(force / 1e3, line, color=plots.BLUE, lw=0.8, label="closed form")
-    along.fill_between(force / 1e3, 0.98 * line, 1.02 * line, color=plots.BLUE, alpha=0.25, lw=0)
-    along.plot(force / 1e3, gained, "o", ms=3.5, color=plots.BLUE, label="simulation")
-    along.axhline(0.0, color=plots.GREY, lw=0.5)
-    along.axvline(0.0, color=plots.GREY, lw=0.5)
-    plots.label(along, "longitudinal force of all tires [kN]", "front axle gains [N]",
+    along.plot(force / 1e3, line, color=style.BLUE, lw=0.8, label="closed form")
+    along.fill_between(force / 1e3, 0.98 * line, 1.02 * line, color=style.BLUE, alpha=0.25, lw=0)
+    along.plot(force / 1e3, gained, "o", ms=3.5, color=style.BLUE, label="simulation")
+    along.axhline(0.0, color=style.GREY, lw=0.5)
+    along.axvline(0.0, color=style.GREY, lw=0.5)
+    style.label(along, "longitudinal force of all tires [kN]", "front axle gains [N]",
                 "Braking and acceleration")
     along.legend(loc="upper right")
     return figure

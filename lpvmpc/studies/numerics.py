@@ -13,11 +13,11 @@ import numpy as np
 from lpvmpc.car import magic_formula as mf
 from lpvmpc.interface import Command
 from lpvmpc.kit.findings import Limit, Table
+from lpvmpc.picture import style
 from lpvmpc.plant.plant import Plant
 from lpvmpc.plant.rollout import Snapshot
 from lpvmpc.sim.loop import simulate
 from lpvmpc.sim.names import load_controller, load_scenario
-from lpvmpc.studies import plots
 from lpvmpc.studies.parts import chatter, energy
 from lpvmpc.studies.parts.chatter import CHATTER, DEFAULT
 from lpvmpc.studies.study import CarUnderTest, Picture, Series, StudyResult
@@ -183,21 +183,21 @@ def _convergence(car: CarUnderTest, result: StudyResult) -> None:
     )
 
 
-@plots.styled
+@style.styled
 def _convergence_picture(curves: dict[tuple[str, str], Array]) -> Figure:
-    figure, axes = plots.axes(1, len(MANOEUVRES), height=2.5, sharey=True)
+    figure, axes = style.axes(1, len(MANOEUVRES), height=2.5, sharey=True)
     h = 1e3 * np.array(STEPS)
     looks = {
-        "implicitfast": (plots.BLUE, "o-"), "Euler": (plots.SKY, "+-"),
-        "implicit": (plots.GREEN, "x-"), "RK4": (plots.ORANGE, "s-"),
+        "implicitfast": (style.BLUE, "o-"), "Euler": (style.SKY, "+-"),
+        "implicit": (style.GREEN, "x-"), "RK4": (style.ORANGE, "s-"),
     }
     for axis, manoeuvre in zip(axes, MANOEUVRES, strict=True):
-        for name, (color, style) in looks.items():
+        for name, (color, dashes) in looks.items():
             errors = 1e3 * curves[manoeuvre.name, name]
-            axis.loglog(h, errors, style, color=color, ms=3.5, lw=0.8, label=name)
+            axis.loglog(h, errors, dashes, color=color, ms=3.5, lw=0.8, label=name)
         axis.loglog(h, 2.0 * h, color="black", lw=0.8, ls=":", label="first order")
-        plots.limit_line(axis, 10.0, "limit at 1 ms")
-        plots.label(axis, "time step [ms]", "", manoeuvre.name)
+        style.limit_line(axis, 10.0, "limit at 1 ms")
+        style.label(axis, "time step [ms]", "", manoeuvre.name)
         axis.set_xticks(h, [f"{x:g}" for x in h], minor=False)
         axis.minorticks_off()
     axes[0].set_ylim(2e-3, 20.0)
@@ -279,35 +279,35 @@ def _work_so_far(books: energy.Ledger, name: str) -> Array:
     return work
 
 
-@plots.styled
+@style.styled
 def _energy_picture(books: energy.Ledger, limit: float) -> Figure:
-    figure, (flow, rest) = plots.axes(1, 2, height=2.7, width=plots.DOUBLE)
+    figure, (flow, rest) = style.axes(1, 2, height=2.7, width=style.DOUBLE)
     every = slice(None, None, 50)
     t = books.t[every]
     motor = _work_so_far(books, "drive")
     stored = books.stored() - books.stored().min()
     layers = {
-        "brakes": ("brakes", plots.RED),
-        "rolling": ("rolling resistance", plots.ORANGE),
-        energy.SLIP: ("tire slip", plots.BLUE),
-        "air": ("air", plots.SKY),
+        "brakes": ("brakes", style.RED),
+        "rolling": ("rolling resistance", style.ORANGE),
+        energy.SLIP: ("tire slip", style.BLUE),
+        "air": ("air", style.SKY),
     }
     base = stored[every] / 1e3
-    flow.fill_between(t, 0.0, base, color=plots.GREY, alpha=0.4, lw=0, label="kinetic, above least")
+    flow.fill_between(t, 0.0, base, color=style.GREY, alpha=0.4, lw=0, label="kinetic, above least")
     for name, (text, color) in layers.items():
         top = base - _work_so_far(books, name)[every] / 1e3
         flow.fill_between(t, base, top, color=color, alpha=0.75, lw=0, label=text)
         base = top
     flow.plot(t, (stored[0] + motor[every]) / 1e3, color="black", label="motor and start")
-    plots.label(flow, "time [s]", "energy [kJ]", "In and out")
+    style.label(flow, "time [s]", "energy [kJ]", "In and out")
     flow.set_xlim(0.0, t[-1])
     flow.set_ylim(0.0, None)
     flow.legend(loc="upper left")
     share = 100.0 * np.abs(books.residual()[every]) / motor[-1]
-    rest.semilogy(t[1:], np.maximum(share[1:], 1e-9), color=plots.BLUE, label="residual")
-    plots.limit_line(rest, limit)
-    rest.axhline(1.0, color=plots.GREY, lw=0.9, ls=":", label="1 %")
-    plots.label(rest, "time [s]", "residual over throughput [%]", "What is left over")
+    rest.semilogy(t[1:], np.maximum(share[1:], 1e-9), color=style.BLUE, label="residual")
+    style.limit_line(rest, limit)
+    rest.axhline(1.0, color=style.GREY, lw=0.9, ls=":", label="1 %")
+    style.label(rest, "time [s]", "residual over throughput [%]", "What is left over")
     rest.set_ylim(1e-8, 10.0)
     rest.set_yticks([10.0**k for k in range(-8, 2, 2)])
     rest.legend(loc="center", bbox_to_anchor=(0.7, 0.58))

@@ -10,8 +10,8 @@ import numpy as np
 
 from lpvmpc.interface import Command
 from lpvmpc.kit.findings import Limit, Table
+from lpvmpc.picture import style
 from lpvmpc.plant.plant import Plant
-from lpvmpc.studies import plots
 from lpvmpc.studies.reference import suspension
 from lpvmpc.studies.study import CarUnderTest, Picture, Series, StudyResult, relative_error
 from lpvmpc.units import GRAVITY, Array
@@ -292,18 +292,18 @@ def frequency_and_damping(poles: Array) -> tuple[Array, Array]:
 # --- what is shown ---
 
 
-@plots.styled
+@style.styled
 def _draw_rest(rests: dict[str, Standing], car: CarUnderTest) -> Any:
-    figure, (left, right) = plots.axes(1, 2, height=2.7)
-    colours = (plots.BLUE, plots.ORANGE, plots.GREEN, plots.PINK)
+    figure, (left, right) = style.axes(1, 2, height=2.7)
+    colours = (style.BLUE, style.ORANGE, style.GREEN, style.PINK)
     for (name, stand), colour in zip(rests.items(), colours, strict=True):
         unseen = 1e3 * stand.drift.max() < 1e-6
         left.semilogy(
             stand.time, np.maximum(1e3 * stand.drift, 1e-6), color=colour,
             label=f"{name}, below 1e-6 mm" if unseen else name,
         )
-    plots.limit_line(left, 1.0, "limit 1 mm")
-    plots.label(left, "time [s]", "drift [mm]", "Standing on the brakes")
+    style.limit_line(left, 1.0, "limit 1 mm")
+    style.label(left, "time [s]", "drift [mm]", "Standing on the brakes")
     left.set_ylim(8e-7, 1e2)
     left.legend(loc="upper right", ncols=2)
     p = car.params
@@ -328,16 +328,16 @@ def _draw_rest(rests: dict[str, Standing], car: CarUnderTest) -> Any:
             right.plot(place + np.array([-0.1, 0.1]), [1e-3 * load] * 2, color="black", lw=1.0)
     right.set_xticks(range(len(rests)), list(rests))
     right.set_ylim(0.0, 7.0)
-    plots.label(right, "", "wheel load [kN]", "Loads, computed: black lines")
+    style.label(right, "", "wheel load [kN]", "Loads, computed: black lines")
     right.legend(loc="upper left", ncols=4, columnspacing=0.8)
     return figure
 
 
-@plots.styled
+@style.styled
 def _draw_modes(modes: dict[str, Array], car: CarUnderTest) -> Any:
-    figure, (left, right) = plots.axes(1, 2, height=2.7)
-    marks = {"computed": ("o", "none", 6.0), "1 ms": ("x", plots.ORANGE, 4.0),
-             "0.1 ms": ("+", plots.BLUE, 5.0)}
+    figure, (left, right) = style.axes(1, 2, height=2.7)
+    marks = {"computed": ("o", "none", 6.0), "1 ms": ("x", style.ORANGE, 4.0),
+             "0.1 ms": ("+", style.BLUE, 5.0)}
     for name, poles in modes.items():
         mark, colour, size = marks[name]
         edge = "black" if name == "computed" else colour
@@ -354,14 +354,14 @@ def _draw_modes(modes: dict[str, Array], car: CarUnderTest) -> Any:
         )
     left.set_xlim(-60.0, 9.0)
     left.set_ylim(0.0, 14.0)
-    plots.label(left, "real part [1/s]", "damped frequency [Hz]", "Poles of the suspension")
+    style.label(left, "real part [1/s]", "damped frequency [Hz]", "Poles of the suspension")
     left.legend(loc="center")
     step = car.documented.opt.timestep
     plant = suspension.without_grip(car.plant(Ts=step, timestep=step))
     M, C, K = suspension.linear_model(car.documented)
     for start, row, name, colour in (
-        ([1e-3, 0, 0, 0, 0, 0, 0], 0, "body", plots.BLUE),
-        ([0, 0, 0, 1e-3, 0, 0, 0], 3, "front wheel in the body", plots.ORANGE),
+        ([1e-3, 0, 0, 0, 0, 0, 0], 0, "body", style.BLUE),
+        ([0, 0, 0, 1e-3, 0, 0, 0], 3, "front wheel in the body", style.ORANGE),
     ):
         states = suspension.record(plant, np.array(start, dtype=float), 1.5)
         times = step * np.arange(len(states))
@@ -369,6 +369,6 @@ def _draw_modes(modes: dict[str, Array], car: CarUnderTest) -> Any:
         solution = suspension.free_motion(M, C, K, np.array(start, dtype=float), times)
         right.plot(times, 1e3 * solution[:, row], color="black", lw=0.8, ls=(0, (4, 2)),
                    label="linear model" if row else None)
-    plots.label(right, "time [s]", "displacement [mm]", "Free motion")
+    style.label(right, "time [s]", "displacement [mm]", "Free motion")
     right.legend(loc="upper right")
     return figure

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from lpvmpc.kit.findings import Limit, Table
+from lpvmpc.picture import style
 from lpvmpc.plant.plant import Plant
-from lpvmpc.studies import plots
 from lpvmpc.studies.parts.circle import (
     RADIUS,
     SPEED,
@@ -219,13 +219,13 @@ def _limit(
 # --- pictures ---
 
 
-@plots.styled
+@style.styled
 def _draw_handling(
     tests: dict[str, list[Steady]], car: CarUnderTest, linear: Linear, limit: float
 ) -> Any:
-    figure, (left, right) = plots.axes(1, 2, height=2.9)
+    figure, (left, right) = style.axes(1, 2, height=2.9)
     L, U = linear.wheelbase, linear.understeer
-    colours = (plots.BLUE, plots.ORANGE)
+    colours = (style.BLUE, style.ORANGE)
     for (name, points), colour in zip(tests.items(), colours, strict=True):
         for sign in (-1.0, 1.0):
             half = [s for s in points if s.ay * sign > 0.0]
@@ -243,49 +243,49 @@ def _draw_handling(
                 [sign * math.degrees(s.understeer(L)) for s in half], sign * at, mark, ms=4.5,
                 mfc="none", mec=colour, mew=0.8, label=f"{name}, {turn}",
             )
-    plots.label(left, "lateral acceleration, left positive [m/s²]", "steer [deg]", "Steer")
+    style.label(left, "lateral acceleration, left positive [m/s²]", "steer [deg]", "Steer")
     left.legend(loc="upper left")
     ay = np.linspace(0.0, limit, 50)
     right.plot(np.degrees(U * ay), ay, color="black", lw=0.8, ls=(0, (4, 2)),
                label="linear formula")
     near = np.linspace(0.0, 2.0, 20)
-    right.fill_betweenx(near, 2.2 * near / GRAVITY, 2.7 * near / GRAVITY, color=plots.RED,
+    right.fill_betweenx(near, 2.2 * near / GRAVITY, 2.7 * near / GRAVITY, color=style.RED,
                         alpha=0.35, lw=0.0, label="target, 2.45 ± 0.25 deg/g")
-    plots.limit_line(right, car.params.ay_limit, "documented limit")
+    style.limit_line(right, car.params.ay_limit, "documented limit")
     right.set_xlim(left=0.0)
     right.set_ylim(0.0, 7.6)
-    plots.label(right, "front less rear slip angle [deg]", "lateral acceleration [m/s²]",
+    style.label(right, "front less rear slip angle [deg]", "lateral acceleration [m/s²]",
                 "Handling diagram")
     right.legend(loc="lower right")
     return figure
 
 
-@plots.styled
+@style.styled
 def _draw_gains(gains: Array, circle: list[Steady], car: CarUnderTest, linear: Linear) -> Any:
-    figure, (left, right) = plots.axes(1, 2, height=2.9)
+    figure, (left, right) = style.axes(1, 2, height=2.9)
     speeds, gain = gains
     v = np.linspace(1.0, 41.0, 100)
     line = linear.yaw_gain(v)
     left.plot(v, line, color="black", lw=0.8, ls=(0, (4, 2)), label="linear formula")
     inside = v <= 25.0
-    plots.limit_band(left, v[inside], 0.97 * line[inside], 1.03 * line[inside], "3 % to 25 m/s")
-    left.plot(speeds, gain, "o", ms=2.5, color=plots.BLUE, label="simulated")
+    style.limit_band(left, v[inside], 0.97 * line[inside], 1.03 * line[inside], "3 % to 25 m/s")
+    left.plot(speeds, gain, "o", ms=2.5, color=style.BLUE, label="simulated")
     left.errorbar(
         [10.0, 15.0, 20.0], [3.09, 3.96, 4.39], yerr=[0.04 * g for g in (3.09, 3.96, 4.39)],
-        fmt="none", ecolor=plots.RED, elinewidth=1.2, capsize=3.0, label="targets", zorder=4,
+        fmt="none", ecolor=style.RED, elinewidth=1.2, capsize=3.0, label="targets", zorder=4,
     )
-    left.axvspan(23.5, 26.5, color=plots.GREEN, alpha=0.15, lw=0.0, label="target of the peak")
-    plots.label(left, "speed [m/s]", "yaw gain r / steer [1/s]", "Yaw gain")
+    left.axvspan(23.5, 26.5, color=style.GREEN, alpha=0.15, lw=0.0, label="target of the peak")
+    style.label(left, "speed [m/s]", "yaw gain r / steer [1/s]", "Yaw gain")
     left.set_ylim(0.0, 5.2)
     left.legend(loc="lower right")
     ay = np.array([s.ay for s in circle])
     for values, slope, colour, name in (
-        ([s.rear_slip(car.params.lr) for s in circle], linear.rear_slip, plots.BLUE, "rear slip"),
-        ([s.roll for s in circle], linear.roll, plots.GREEN, "roll"),
+        ([s.rear_slip(car.params.lr) for s in circle], linear.rear_slip, style.BLUE, "rear slip"),
+        ([s.roll for s in circle], linear.roll, style.GREEN, "roll"),
     ):
         right.plot(ay, np.degrees(values), "o-", ms=2.2, color=colour, label=name)
         right.plot(ay, np.degrees(slope * ay), color="black", lw=0.8, ls=(0, (4, 2)),
                    label="linear formula" if name == "roll" else None)
-    plots.label(right, "lateral acceleration [m/s²]", "angle [deg]", "Rear sideslip and roll")
+    style.label(right, "lateral acceleration [m/s²]", "angle [deg]", "Rear sideslip and roll")
     right.legend()
     return figure

@@ -10,8 +10,8 @@ import numpy as np
 from lpvmpc.car import magic_formula as mf
 from lpvmpc.interface import Command
 from lpvmpc.kit.findings import Limit, Table
+from lpvmpc.picture import style
 from lpvmpc.plant.plant import Plant
-from lpvmpc.studies import plots
 from lpvmpc.studies.parts.braking import (
     KMH,
     V0,
@@ -341,34 +341,34 @@ def _braking(result: StudyResult, car: CarUnderTest) -> None:
 # --- pictures ---
 
 
-@plots.styled
+@style.styled
 def _draw_coasting(
     times: Array, speeds: Array, v: Array, force: Array, car: CarUnderTest
 ) -> Any:
     p = car.params
-    figure, (left, right) = plots.axes(1, 2, height=2.6)
-    left.plot(times, speeds, color=plots.BLUE, lw=1.8, label="simulated")
+    figure, (left, right) = style.axes(1, 2, height=2.6)
+    left.plot(times, speeds, color=style.BLUE, lw=1.8, label="simulated")
     left.plot(times, rolling_out(times, float(speeds[0]), car), color="black", lw=0.9,
               ls=(0, (4, 2)), label="closed form")
-    plots.label(left, "time [s]", "speed [m/s]", "Coasting")
+    style.label(left, "time [s]", "speed [m/s]", "Coasting")
     left.legend()
     expected = p.c_roll * p.m * GRAVITY + 0.5 * p.rho_air * p.CdA * v**2
-    right.plot(v[::8], force[::8], "o", ms=2.2, color=plots.BLUE, label="from coasting")
+    right.plot(v[::8], force[::8], "o", ms=2.2, color=style.BLUE, label="from coasting")
     right.plot(v, expected, color="black", lw=0.9, ls=(0, (4, 2)), label="documented")
-    plots.limit_band(right, v, 0.98 * expected, 1.02 * expected, "2 %")
-    plots.label(right, "speed [m/s]", "resistance [N]", "Road load")
+    style.limit_band(right, v, 0.98 * expected, 1.02 * expected, "2 %")
+    style.label(right, "speed [m/s]", "resistance [N]", "Road load")
     right.legend()
     return figure
 
 
-@plots.styled
+@style.styled
 def _draw_acceleration(
     curves: dict[str, tuple[Array, Array]], gains: Array, car: CarUnderTest
 ) -> Any:
-    figure, (left, right) = plots.axes(1, 2, height=2.6)
+    figure, (left, right) = style.axes(1, 2, height=2.6)
     for (name, (t, v)), look in zip(
         curves.items(),
-        ({"color": plots.BLUE, "lw": 1.8}, {"color": "black", "lw": 0.9, "ls": (0, (4, 2))}),
+        ({"color": style.BLUE, "lw": 1.8}, {"color": "black", "lw": 0.9, "ls": (0, (4, 2))}),
         strict=True,
     ):
         left.plot(t, v / KMH, label=name, **look)
@@ -376,20 +376,20 @@ def _draw_acceleration(
         goal = float(name.split("-")[1].split()[0])
         first = name.startswith("0-50")
         left.errorbar(
-            0.5 * (low + high), goal, xerr=0.5 * (high - low), fmt="none", ecolor=plots.RED,
+            0.5 * (low + high), goal, xerr=0.5 * (high - low), fmt="none", ecolor=style.RED,
             elinewidth=2.0, capsize=3.5, label="real Zoe, published" if first else None, zorder=4,
         )
-    plots.label(left, "time [s]", "speed [km/h]", "Full acceleration")
+    style.label(left, "time [s]", "speed [km/h]", "Full acceleration")
     left.legend(loc="lower right")
-    looks = (("o", plots.SKY), ("s", plots.BLUE), ("^", plots.GREEN), ("x", plots.ORANGE))
+    looks = (("o", style.SKY), ("s", style.BLUE), ("^", style.GREEN), ("x", style.ORANGE))
     for dt, row, (mark, colour) in zip(STEPS, gains, looks, strict=True):
         right.plot(SPEEDS, 1e3 * (row - 1.0), marker=mark, ms=4.0, lw=0.8, mfc="none",
                    color=colour, label=f"{1e3 * dt:g} ms")
-    plots.limit_line(right, -1.0)
-    plots.limit_line(right, 1.0, "_")
+    style.limit_line(right, -1.0)
+    style.limit_line(right, 1.0, "_")
     right.set_xlim(0.0, 36.0)
     right.set_ylim(-1.4, 1.9)
-    plots.label(right, "speed [m/s]", "deviation [mm/s²]", "Torque of 1 m/s², by physics step")
+    style.label(right, "speed [m/s]", "deviation [mm/s²]", "Torque of 1 m/s², by physics step")
     right.legend(loc="upper right", ncols=3)
     return figure
 

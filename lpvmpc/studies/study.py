@@ -70,7 +70,7 @@ class Picture:
     caption: str
     """What it shows, one or two sentences."""
     figure: Figure | None
-    """Made by a function under `plots.styled`; None once it is saved."""
+    """Made by a function under `style.styled`; None once it is saved."""
 
 
 @dataclass

@@ -9,7 +9,7 @@ import numpy as np
 
 from lpvmpc.car import magic_formula as mf
 from lpvmpc.kit.findings import Limit
-from lpvmpc.studies import plots
+from lpvmpc.picture import style
 from lpvmpc.studies.parts.tire_bench import Bench
 from lpvmpc.studies.parts.tire_curves import (
     LOADS,
@@ -301,37 +301,37 @@ def _engine(result: StudyResult, bench: Bench, documented: dict[str, Array]) -> 
 # --- what is shown ---
 
 
-@plots.styled
+@style.styled
 def _draw_combined(
     tires: dict[str, Array], steps: dict[str, tuple[Array, Array]], documented: dict[str, float]
 ) -> Any:
-    figure, (left, right) = plots.axes(1, 2, height=3.0)
+    figure, (left, right) = style.axes(1, 2, height=3.0)
     c = tires["front"]
     Fz = c[mf.FNOMIN]
     mux, muy = mf.peak_friction(c, Fz)
     turn = np.linspace(0.0, math.pi, 181)
     left.plot(
-        mux * np.cos(turn), muy * np.sin(turn), color=plots.RED, ls=(0, (4, 2)), lw=0.9,
+        mux * np.cos(turn), muy * np.sin(turn), color=style.RED, ls=(0, (4, 2)), lw=0.9,
         label="friction ellipse",
     )
     ratios = np.linspace(-0.5, 0.5, 401)
-    colours = (plots.SKY, plots.GREEN, plots.BLUE, plots.ORANGE, plots.PINK)
+    colours = (style.SKY, style.GREEN, style.BLUE, style.ORANGE, style.PINK)
     for angle, colour in zip((1.0, 2.0, 4.0, 8.0, 14.0), colours, strict=True):
         alpha = math.tan(math.radians(angle))
         forces = sweep(c, ratios, Fz, lateral=False, other=alpha) / Fz
         left.plot(forces[:, 0], forces[:, 1], color=colour, label=f"{angle:g} deg")
-    plots.label(left, "Fx / Fz", "Fy / Fz", "Front tire, combined slip")
+    style.label(left, "Fx / Fz", "Fy / Fz", "Front tire, combined slip")
     left.set_aspect("equal")
     left.set_ylim(-0.02, 1.12)
     left.legend(loc="upper center", ncols=3)
     after_one = 1.0 - math.exp(-1.0)
     for (name, (distance, rise)), colour in zip(steps.items(), colours, strict=False):
-        style = "-" if "lateral" in name else (0, (4, 2))
-        right.plot(distance, 100.0 * rise, color=colour, ls=style, label=name)
+        dashes = "-" if "lateral" in name else (0, (4, 2))
+        right.plot(distance, 100.0 * rise, color=colour, ls=dashes, label=name)
         length = documented[name]
         right.plot(length, 100.0 * after_one, "o", color=colour, ms=3.5, mec="black", mew=0.5)
-    plots.limit_line(right, 100.0 * after_one, "63 %; dots: after one length")
+    style.limit_line(right, 100.0 * after_one, "63 %; dots: after one length")
     right.set_xlim(0.0, 2.5)
-    plots.label(right, "rolled distance [m]", "slip built up [%]", "Relaxation at 4 kN")
+    style.label(right, "rolled distance [m]", "slip built up [%]", "Relaxation at 4 kN")
     right.legend(loc="lower right")
     return figure

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from lpvmpc.kit.findings import Limit, Table
-from lpvmpc.studies import plots
+from lpvmpc.picture import style
 from lpvmpc.studies.parts.steering import (
     AY,
     DT,
@@ -243,12 +243,12 @@ def _modes(result: StudyResult, models: dict[float, Any]) -> None:
 # --- pictures ---
 
 
-@plots.styled
+@style.styled
 def _draw_frequency(
     models: dict[float, Any], sines: dict[float, Sines], sweeps: dict[float, Sweep]
 ) -> Any:
-    figure, axes = plots.axes(2, 2, height=4.4, sharex=True)
-    colours = (plots.BLUE, plots.GREEN, plots.ORANGE)
+    figure, axes = style.axes(2, 2, height=4.4, sharex=True)
+    colours = (style.BLUE, style.GREEN, style.ORANGE)
     f = np.geomspace(0.15, 3.2, 200)
     for (vx, model), colour in zip(models.items(), colours, strict=True):
         expected = frequency_response(model, f)
@@ -274,33 +274,33 @@ def _draw_frequency(
     ticks = (0.2, 0.5, 1.0, 2.0, 3.0)
     for column, name in enumerate(OUTPUTS):
         unit = "1/s" if column == 0 else "m/s² per rad"
-        plots.label(axes[0, column], "", f"gain [dB re {unit}]", name.capitalize())
-        plots.label(axes[1, column], "frequency [Hz]", "phase [deg]")
+        style.label(axes[0, column], "", f"gain [dB re {unit}]", name.capitalize())
+        style.label(axes[1, column], "frequency [Hz]", "phase [deg]")
         axes[1, column].set_xticks(ticks, [f"{t:g}" for t in ticks])
         axes[1, column].minorticks_off()
     axes[0, 0].legend(loc="lower left")
     return figure
 
 
-@plots.styled
+@style.styled
 def _draw_steps(
     jumps: dict[float, SteeringRecord], runs: dict[float, tuple[SteeringRecord, Array]]
 ) -> Any:
-    figure, (left, middle, right) = plots.axes(1, 3, height=2.6)
-    colours = (plots.SKY, plots.BLUE, plots.GREEN)
+    figure, (left, middle, right) = style.axes(1, 3, height=2.6)
+    colours = (style.SKY, style.BLUE, style.GREEN)
     for vx, colour in zip((12.0, 15.0, 20.0), colours, strict=True):
         r = jumps[vx].r
         times = DT * np.arange(float(len(r)))
         left.plot(times, 100.0 * r / r[-300:].mean(), color=colour, label=f"{vx:g} m/s")
     for k, (share, target) in enumerate(((50.0, 0.076), (90.0, 0.126))):
-        left.plot([target - 0.025, target + 0.025], [share] * 2, color=plots.RED, lw=2.0, zorder=4,
+        left.plot([target - 0.025, target + 0.025], [share] * 2, color=style.RED, lw=2.0, zorder=4,
                   solid_capstyle="butt", label=None if k else "targets")
-    left.fill_between([0.175, 0.225], 104.5, 107.5, color=plots.RED, alpha=0.4, lw=0.0)
+    left.fill_between([0.175, 0.225], 104.5, 107.5, color=style.RED, alpha=0.4, lw=0.0)
     left.set_xlim(0.0, 0.6)
     left.set_ylim(0.0, 118.0)
-    plots.label(left, "time [s]", "yaw rate over steady [%]", "Jump to 2 m/s²")
+    style.label(left, "time [s]", "yaw rate over steady [%]", "Jump to 2 m/s²")
     left.legend(loc="lower right")
-    colours = (plots.BLUE, plots.GREEN, plots.ORANGE)
+    colours = (style.BLUE, style.GREEN, style.ORANGE)
     for (vx, (run, linear)), colour in zip(runs.items(), colours, strict=True):
         times = DT * np.arange(float(len(run.r))) - half_steer(run)
         for axis, values, expected in (
@@ -312,7 +312,7 @@ def _draw_steps(
     middle.plot([], [], color="black", lw=0.8, ls=(0, (4, 2)), label="transfer function")
     for axis in (middle, right):
         axis.set_xlim(-0.1, 1.0)
-    plots.label(middle, "time after half the steer [s]", "yaw rate [deg/s]", "Step to 0.5 m/s²")
-    plots.label(right, "time after half the steer [s]", "lateral acceleration [m/s²]")
+    style.label(middle, "time after half the steer [s]", "yaw rate [deg/s]", "Step to 0.5 m/s²")
+    style.label(right, "time after half the steer [s]", "lateral acceleration [m/s²]")
     middle.legend(loc="lower right")
     return figure

@@ -20,13 +20,13 @@ from lpvmpc.car.bicycle import Bicycle
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.interface import Command
 from lpvmpc.kit.findings import Limit, Table
+from lpvmpc.picture import style
 from lpvmpc.road.path import Path
 from lpvmpc.road.scenario import Scenario
 from lpvmpc.road.speed_profile import SpeedProfile
 from lpvmpc.road.wind import Wind
 from lpvmpc.sim.loop import simulate
 from lpvmpc.sim.names import load_controller
-from lpvmpc.studies import plots
 from lpvmpc.studies.study import CarUnderTest, Picture, Series, StudyResult, relative_error
 from lpvmpc.units import Array
 
@@ -147,13 +147,13 @@ def _steady(car: CarUnderTest, result: StudyResult) -> None:
     )
 
 
-@plots.styled
+@style.styled
 def _steady_picture(p: VehicleParams, measured: Array) -> Figure:
-    figure, axes = plots.axes(1, 2, height=2.5)
+    figure, axes = style.axes(1, 2, height=2.5)
     points = measured.reshape(len(SPEEDS), len(WINDS), 3)
     wind = np.linspace(0.0, 1.1 * WINDS[-1], 45)
     for i, vx in enumerate(SPEEDS):
-        color = (plots.GREEN, plots.BLUE, plots.ORANGE)[i]
+        color = (style.GREEN, style.BLUE, style.ORANGE)[i]
         form = np.degrees([steady_side_wind(p, vx, w)[:2] for w in wind])
         for axis, line, dots in (
             (axes[0], -form[:, 0], -points[i, :, 0]),
@@ -162,8 +162,8 @@ def _steady_picture(p: VehicleParams, measured: Array) -> Figure:
             axis.plot(wind, line, color=color)
             axis.fill_between(wind, 0.97 * line, 1.03 * line, color=color, alpha=0.25, lw=0)
             axis.plot(WINDS, np.degrees(dots), "o", ms=3.5, color=color, label=f"{vx:g} m/s")
-    plots.label(axes[0], "side wind [m/s]", "crab angle to windward [deg]", "Crab angle")
-    plots.label(axes[1], "side wind [m/s]", "steer at the road wheel [deg]", "Steer")
+    style.label(axes[0], "side wind [m/s]", "crab angle to windward [deg]", "Crab angle")
+    style.label(axes[1], "side wind [m/s]", "steer at the road wheel [deg]", "Steer")
     for axis in axes:
         axis.set_xlim(0.0, None)
         axis.set_ylim(0.0, None)
@@ -331,23 +331,23 @@ def _closed_loop(car: CarUnderTest) -> list[float]:
     return largest
 
 
-@plots.styled
+@style.styled
 def _gust_picture(answers: list[tuple[Gust, Array, Array, Array]]) -> Figure:
-    figure, axes = plots.axes(3, 2, height=4.0, sharex=True, sharey="row")
+    figure, axes = style.axes(3, 2, height=4.0, sharex=True, sharey="row")
     for column, (gust, times, rows, form) in enumerate(answers):
         wind, yaw, drift = axes[:, column]
-        wind.plot(times, [gust.wind(t) for t in times], color=plots.GREEN)
-        plots.label(wind, "", "wind [m/s]" * (column == 0), gust.name)
+        wind.plot(times, [gust.wind(t) for t in times], color=style.GREEN)
+        style.label(wind, "", "wind [m/s]" * (column == 0), gust.name)
         for axis, scale, i, name in (
             (yaw, 180.0 / math.pi, 0, "yaw rate [deg/s]"),
             (drift, 1.0, 2, "position [m]"),
         ):
             line = scale * form[:, i]
             off = 0.03 * np.abs(line).max()
-            plots.limit_band(axis, times, line - off, line + off, "3 % of the peak")
-            axis.plot(times, scale * rows[:, i], color=plots.BLUE, lw=1.6, label="simulation")
+            style.limit_band(axis, times, line - off, line + off, "3 % of the peak")
+            axis.plot(times, scale * rows[:, i], color=style.BLUE, lw=1.6, label="simulation")
             axis.plot(times, line, color="black", lw=0.8, ls=(0, (4, 2)), label="linear model")
-            plots.label(axis, "", name * (column == 0))
+            style.label(axis, "", name * (column == 0))
         drift.set_xlabel("time [s]")
     axes[2, 0].legend(loc="lower left")
     figure.align_ylabels(axes[:, 0])

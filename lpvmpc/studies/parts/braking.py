@@ -9,8 +9,8 @@ import numpy as np
 
 from lpvmpc.car import magic_formula as mf
 from lpvmpc.interface import Command
+from lpvmpc.picture import style
 from lpvmpc.plant.plant import Plant
-from lpvmpc.studies import plots
 from lpvmpc.studies.study import CarUnderTest
 from lpvmpc.units import GRAVITY, Array
 
@@ -100,29 +100,29 @@ def sliding_deceleration(car: CarUnderTest) -> float:
     return a
 
 
-@plots.styled
+@style.styled
 def draw_stops(
     stops: dict[str, Stop], commands: Array, sweep: Array, expected: float, car: CarUnderTest
 ) -> Any:
     """Speed over distance, and the deceleration reached over the commanded one."""
     grip = car.params.mu * GRAVITY
-    figure, (left, right) = plots.axes(1, 2, height=2.6)
-    for (name, s), colour in zip(stops.items(), (plots.BLUE, plots.ORANGE), strict=True):
+    figure, (left, right) = style.axes(1, 2, height=2.6)
+    for (name, s), colour in zip(stops.items(), (style.BLUE, style.ORANGE), strict=True):
         left.plot(s.distance, s.speed / KMH, color=colour, label=name)
     way = np.linspace(0.0, V0**2 / (2.0 * grip), 100)
-    left.plot(way, np.sqrt(np.maximum(V0**2 - 2.0 * grip * way, 0.0)) / KMH, color=plots.RED,
+    left.plot(way, np.sqrt(np.maximum(V0**2 - 2.0 * grip * way, 0.0)) / KMH, color=style.RED,
               lw=0.9, ls=(0, (4, 2)), label="mu g")
-    plots.label(left, "distance [m]", "speed [km/h]", "Braking from 100 km/h, ramp of 1 s")
+    style.label(left, "distance [m]", "speed [km/h]", "Braking from 100 km/h, ramp of 1 s")
     left.set_ylim(0.0, 105.0)
     left.legend(loc="lower left")
-    right.plot(commands, sweep, "o-", ms=2.5, color=plots.BLUE, label="simulated")
-    plots.limit_line(right, grip, "mu g")
+    right.plot(commands, sweep, "o-", ms=2.5, color=style.BLUE, label="simulated")
+    style.limit_line(right, grip, "mu g")
     right.axvline(expected, color="black", lw=0.9, ls=(0, (1, 1.5)), label="front locks, computed")
     right.axhline(
-        sliding_deceleration(car), color=plots.ORANGE, lw=0.9, ls=(0, (4, 2)),
+        sliding_deceleration(car), color=style.ORANGE, lw=0.9, ls=(0, (4, 2)),
         label="all sliding, computed",
     )
     right.set_ylim(0.0, 9.0)
-    plots.label(right, "commanded deceleration [m/s²]", "MFDD [m/s²]", "Use of friction")
+    style.label(right, "commanded deceleration [m/s²]", "MFDD [m/s²]", "Use of friction")
     right.legend(loc="lower right")
     return figure

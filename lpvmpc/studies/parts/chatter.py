@@ -14,8 +14,8 @@ from lpvmpc.car import magic_formula as mf
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.interface import Command
 from lpvmpc.kit.findings import Limit, Table
+from lpvmpc.picture import style
 from lpvmpc.plant.rollout import DRIVE, SPIN_QVEL, Snapshot
-from lpvmpc.studies import plots
 from lpvmpc.studies.study import CarUnderTest, Picture, StudyResult
 from lpvmpc.units import GRAVITY, Array
 
@@ -167,22 +167,22 @@ def judge(car: CarUnderTest, result: StudyResult) -> None:
     )
 
 
-@plots.styled
+@style.styled
 def _picture(p: VehicleParams, c: Array, low_speed: Array, onsets: Array) -> Figure:
-    figure, axis = plots.axes(width=plots.COLUMN, height=2.6)
+    figure, axis = style.axes(width=style.COLUMN, height=2.6)
     speeds = np.geomspace(0.1, 15.0, 60)
     form = [
         onset(partial(spin_growth, p, c, low_speed, vx), 1.0, 1e-4, 0.05, 1.001) for vx in speeds
     ]
     axis.loglog(speeds, 1e3 * np.array(form), color="black", lw=0.8, label="closed form")
-    axis.loglog(CRAWL, 1e3 * onsets, "o", ms=3.5, color=plots.BLUE, label="simulation")
-    plots.limit_line(axis, 1e3 * LARGEST, "largest accepted step")
-    axis.axhline(1e3 * DEFAULT, color=plots.GREEN, lw=0.9, label="the model's step")
+    axis.loglog(CRAWL, 1e3 * onsets, "o", ms=3.5, color=style.BLUE, label="simulation")
+    style.limit_line(axis, 1e3 * LARGEST, "largest accepted step")
+    axis.axhline(1e3 * DEFAULT, color=style.GREEN, lw=0.9, label="the model's step")
     ticks, times = (0.1, 0.3, 1, 3, 10), (0.5, 1, 2, 5, 10, 20)
     axis.set_xticks(ticks, [f"{x:g}" for x in ticks])
     axis.set_yticks(times, [f"{x:g}" for x in times])
     axis.minorticks_off()
     axis.set_ylim(0.5, 30.0)
-    plots.label(axis, "speed [m/s]", "time step [ms]", "Onset of chatter")
+    style.label(axis, "speed [m/s]", "time step [ms]", "Onset of chatter")
     axis.legend(loc="lower right")
     return figure

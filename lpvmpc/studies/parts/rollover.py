@@ -13,7 +13,7 @@ from lpvmpc.car import magic_formula as mf
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.interface import Command
 from lpvmpc.kit.findings import Limit
-from lpvmpc.studies import plots
+from lpvmpc.picture import style
 from lpvmpc.studies.study import CarUnderTest, Series, StudyResult
 from lpvmpc.units import GRAVITY, Array
 
@@ -150,27 +150,27 @@ def lift_pull(pull: Array, load: Array) -> float:
     return float(min(pull[i - 1] - load[i - 1] / slope, pull[i]))
 
 
-@plots.styled
+@style.styled
 def picture(p: VehicleParams, springs: Springs, ramp: Array) -> Figure:
     """Loads and roll while the car is pulled."""
-    figure, (load, roll) = plots.axes(1, 2, height=2.5)
+    figure, (load, roll) = style.axes(1, 2, height=2.5)
     for column, name in enumerate(("front inner", "front outer", "rear inner", "rear outer"), 1):
-        color = plots.BLUE if column < 3 else plots.ORANGE
-        style = "-" if column % 2 else "--"
-        load.plot(ramp[:, 0], ramp[:, column] / 1e3, color=color, ls=style, label=name)
-    plots.label(load, "sideways pull [g]", "load [kN]", "Loads")
+        color = style.BLUE if column < 3 else style.ORANGE
+        dashes = "-" if column % 2 else "--"
+        load.plot(ramp[:, 0], ramp[:, column] / 1e3, color=color, ls=dashes, label=name)
+    style.label(load, "sideways pull [g]", "load [kN]", "Loads")
     load.set_ylim(0.0, 14.0)
-    roll.plot(ramp[:, 0], np.degrees(ramp[:, 5]), color=plots.BLUE, label="simulation")
+    roll.plot(ramp[:, 0], np.degrees(ramp[:, 5]), color=style.BLUE, label="simulation")
     pull = np.linspace(0.0, 1.2, 30)
     # no wheels spin here, so the linear form without their gyroscopic moment
     line = np.degrees(pull * GRAVITY * p.m * p.h / p.K_phi)
     roll.plot(pull, line, color="black", lw=0.8, ls=(0, (4, 2)), label="m a h / K_phi")
-    plots.label(roll, "sideways pull [g]", "roll angle [deg]", "Roll")
+    style.label(roll, "sideways pull [g]", "roll angle [deg]", "Roll")
     roll.set_ylim(0.0, 15.0)
     for axis in (load, roll):
         for threshold in lift_thresholds(p, springs):
-            axis.axvline(threshold, color=plots.RED, lw=0.9, ls=(0, (4, 2)))
-        axis.axvline(p.track_f / (2.0 * p.h), color=plots.GREY, lw=0.9, ls=":")
+            axis.axvline(threshold, color=style.RED, lw=0.9, ls=(0, (4, 2)))
+        axis.axvline(p.track_f / (2.0 * p.h), color=style.GREY, lw=0.9, ls=":")
         axis.set_xlim(0.0, 1.5)
         axis.legend(loc="upper left")
     return figure

@@ -9,7 +9,7 @@ import numpy as np
 
 from lpvmpc.car import magic_formula as mf
 from lpvmpc.kit.findings import Table
-from lpvmpc.studies import plots
+from lpvmpc.picture import style
 from lpvmpc.studies.reference import golden_tire
 from lpvmpc.studies.study import Series
 from lpvmpc.units import Array
@@ -84,16 +84,16 @@ def curve_series(tires: dict[str, Array]) -> list[Series]:
     return [Series("longitudinal", along), Series("lateral", across)]
 
 
-@plots.styled
+@style.styled
 def draw_slip(tires: dict[str, Array]) -> Any:
     """Pure slip, aligning moment and load sensitivity of both tires."""
-    figure, axes = plots.axes(2, 2, height=4.6)
-    colours = (plots.SKY, plots.BLUE, plots.ORANGE)
-    for axle, style in (("front", "-"), ("rear", (0, (4, 2)))):
+    figure, axes = style.axes(2, 2, height=4.6)
+    colours = (style.SKY, style.BLUE, style.ORANGE)
+    for axle, dashes in (("front", "-"), ("rear", (0, (4, 2)))):
         c = tires[axle]
         for load, colour in zip(LOADS, colours, strict=True):
             Fz = load * c[mf.FNOMIN]
-            look = {"color": colour, "ls": style, "lw": 1.1 if axle == "front" else 0.8}
+            look = {"color": colour, "ls": dashes, "lw": 1.1 if axle == "front" else 0.8}
             name = {"label": f"{load:g} Fz0"} if axle == "front" else {}
             axes[0, 0].plot(
                 100.0 * RATIOS, 1e-3 * sweep(c, RATIOS, Fz, lateral=False)[:, 0], **look, **name
@@ -102,13 +102,13 @@ def draw_slip(tires: dict[str, Array]) -> Any:
             axes[0, 1].plot(np.degrees(ANGLES), 1e-3 * forces[:, 1], **look)
             axes[1, 0].plot(np.degrees(ANGLES), forces[:, 2], **look)
         loads = np.linspace(0.2, 2.0, 40)
-        for lateral, colour in ((False, plots.RED), (True, plots.GREEN)):
+        for lateral, colour in ((False, style.RED), (True, style.GREEN)):
             mu = [mf.peak_friction(c, load * c[mf.FNOMIN])[int(lateral)] for load in loads]
             way = "lateral" if lateral else "longitudinal"
             axes[1, 1].plot(
-                1e-3 * loads * c[mf.FNOMIN], mu, color=colour, ls=style, label=f"{way}, {axle}"
+                1e-3 * loads * c[mf.FNOMIN], mu, color=colour, ls=dashes, label=f"{way}, {axle}"
             )
-    axes[1, 1].axhline(TABLE_2_MU, color=plots.GREY, lw=0.8, ls=":", label="Table 2")
+    axes[1, 1].axhline(TABLE_2_MU, color=style.GREY, lw=0.8, ls=":", label="Table 2")
     for name, _, kappa, alpha, Fx, Fy in golden_tire.read()["rows"]:
         if name != "front":
             continue
@@ -117,10 +117,10 @@ def draw_slip(tires: dict[str, Array]) -> Any:
         if kappa == 0.0 and abs(alpha) <= 0.27:
             at = math.degrees(math.atan(alpha))
             axes[0, 1].plot(at, 1e-3 * Fy, "o", color="black", ms=2.2, zorder=5)
-    plots.label(axes[0, 0], "slip ratio [%]", "Fx [kN]", "Longitudinal force")
-    plots.label(axes[0, 1], "slip angle [deg]", "Fy [kN]", "Lateral force")
-    plots.label(axes[1, 0], "slip angle [deg]", "Mz [N m]", "Aligning moment")
-    plots.label(axes[1, 1], "load [kN]", "peak friction", "Load sensitivity")
+    style.label(axes[0, 0], "slip ratio [%]", "Fx [kN]", "Longitudinal force")
+    style.label(axes[0, 1], "slip angle [deg]", "Fy [kN]", "Lateral force")
+    style.label(axes[1, 0], "slip angle [deg]", "Mz [N m]", "Aligning moment")
+    style.label(axes[1, 1], "load [kN]", "peak friction", "Load sensitivity")
     axes[0, 0].legend(loc="upper left")
     axes[1, 1].legend(loc="upper right", ncols=2)
     axes[1, 1].set_ylim(0.68, 0.96)
