@@ -49,7 +49,7 @@ def numbers(results):
 def test_one_process_and_two_give_the_same_numbers_in_order(road):
     """Also for the run that fails, which is charged and does not take the others with it."""
     runs = [at(road, 12.0), at(road, 8.0, controller_options={"stiffness": "network"}),
-            Run(scenario="nowhere"), at(road, 10.0, road=0.7)]  # fmt: skip
+            Run(scenario="nowhere"), at(road, 10.0, road=0.7)]
     alone = drive_all(runs, jobs=1)
     assert numbers(alone) == numbers(drive_all(runs, jobs=2))
     assert [result["completed"] for result in alone] == [True, True, False, True]
@@ -128,7 +128,7 @@ def test_the_key_is_that_of_all_a_run_depends_on(road, tmp_path, monkeypatch, us
     assert at(road, 10.0, label="another name").key() == key
     others = [at(road, 10.5), at(road, 10.0, road=0.9), at(road, 10.0, seed=1),
               at(road, 10.0, delay=1), at(road, 10.0, controller="stanley"),
-              at(road, 10.0, controller_options={"stiffness": "constant"})]  # fmt: skip
+              at(road, 10.0, controller_options={"stiffness": "constant"})]
     assert len({key, *(other.key() for other in others)}) == 1 + len(others)
     write_road(tmp_path / "bend.csv", y=0.001)
     assert run.key() != key
@@ -209,7 +209,7 @@ def test_ctrl_c_ends_at_once_and_keeps_what_was_done(road, cache, jobs):
     process = subprocess.Popen(
         [sys.executable, "-c", LONG, road, str(cache), jobs], stdout=subprocess.PIPE, text=True,
         start_new_session=True,
-    )  # fmt: skip
+    )
     for line in process.stdout:
         if line == "1\n":
             break

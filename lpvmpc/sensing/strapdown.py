@@ -27,7 +27,7 @@ N = 12
 (
     C_T, C_GYRO, C_ACC, C_WALK_R, C_WALK_A, C_WALK_SCALE, C_KEEP_P, C_STIR_P, C_KEEP_PSI,
     C_STIR_PSI, C_LANE, C_POS, C_HEADING, C_SPEED, C_LATERAL, C_WHEEL, C_SLIP, C_ALONG,
-) = range(18)  # fmt: skip
+) = range(18)
 """Columns of the constants: variances, except T [s], KEEP (factors), LANE (0 or 1) and SLIP (slip
 of the rear wheels per m/s2 of braking)."""
 MEMORY = 1.0 / 15.0
@@ -93,18 +93,18 @@ def predict(x, P, u0, u1, c, walk, xo, Po):
         Po[X, j] = (
             P[X, j] - dy * P[PSI, j] + T * (c0 * P[VX, j] - s0 * P[VY, j])
             - half * (c0 * P[BAX, j] - s0 * P[BAY, j])
-        )  # fmt: skip
+        )
         Po[Y, j] = (
             P[Y, j] + dx * P[PSI, j] + T * (s0 * P[VX, j] + c0 * P[VY, j])
             - half * (s0 * P[BAX, j] + c0 * P[BAY, j])
-        )  # fmt: skip
+        )
         Po[PSI, j] = P[PSI, j] - T * P[BR, j]
         Po[VX, j] = (
             C * P[VX, j] + S * P[VY, j] - T * py * P[BR, j] + near * P[BAX, j] + far * P[BAY, j]
-        )  # fmt: skip
+        )
         Po[VY, j] = (
             C * P[VY, j] - S * P[VX, j] + T * px * P[BR, j] - far * P[BAX, j] + near * P[BAY, j]
-        )  # fmt: skip
+        )
         Po[BR, j], Po[BAX, j], Po[BAY, j] = P[BR, j], P[BAX, j], P[BAY, j]
         Po[SCALE, j] = P[SCALE, j]
         Po[W0, j], Po[W1, j] = c[C_KEEP_P] * P[W0, j], c[C_KEEP_P] * P[W1, j]

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 FOUNDATION = (
     "units.py", "errors.py", "interface.py", "car/**/*", "plant/**/*", "road/**/*", "control/**/*",
     "sensing/**/*", "sim/**/*",
-)  # fmt: skip
+)
 """What a closed loop stands on, by the import contract: a change there makes kept results void."""
 DIED = (
     "A worker process died (killed, or out of memory?); what was finished is kept, and fewer jobs "
@@ -87,7 +87,7 @@ class Run:
         """Refuse what cannot be hashed, and roads that cannot be."""
         try:
             json.dumps([dict(self.scenario_options), dict(self.controller_options), self.world],
-                       allow_nan=False)  # fmt: skip
+                       allow_nan=False)
         except (TypeError, ValueError) as error:
             raise OptionError("options of a run", str(error), "plain names and numbers") from None
         values = [value for _, value in self.road] if isinstance(self.road, tuple) else [self.road]
