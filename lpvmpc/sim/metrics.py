@@ -138,10 +138,10 @@ def estimate_error(log: Log) -> float | None:
 
 
 def jerk_rms(log: Log) -> float | None:
-    """Root mean square of the lateral jerk [m/s3]: the change of the centre of mass's lateral
-    acceleration from one control instant to the next, over the control period.
+    """Root mean square of the lateral jerk [m/s3]; None where there are no two instants.
 
-    What a passenger feels of a restless controller; None where there are no two instants.
+    The change of the centre of mass's lateral acceleration from one control instant to the next,
+    over the control period: what a passenger feels of a restless controller.
     """
     return rms(np.diff(log.columns["ay_mps2"]) / log.meta["Ts"])
 
