@@ -281,7 +281,8 @@ def test_margins_are_told_and_a_rival_that_bears_more_is_named():
 def test_promises_are_met_or_missed_by_the_numbers():
     rows = {"worlds": made_up("worlds", lambda cell: 3.0),
             "deviations": made_up("deviations", lambda c: math.inf if c.case == "mass" else 0.5)}
-    found = {f.key: f for f in bars(Found(plan=GridPlan(), rows=rows, margins=[margin(59.0, 61.0)]))}
+    driven = Found(plan=GridPlan(), rows=rows, margins=[margin(59.0, 61.0)])
+    found = {f.key: f for f in bars(driven)}
     assert found["rtk_paper_rmse"].ok and found["rtk_paper_rmse"].value == pytest.approx(3.0)
     assert found["ideal_paper_rmse"].ok and found["ideal_paper_largest"].ok
     assert found["alone_paper_rmse"].ok is False and math.isinf(found["alone_paper_rmse"].value)
@@ -326,7 +327,9 @@ def short(tmp_path, monkeypatch):
     lines = [f"{a:g},{0.004 * a * a:g},4,4" for a in x]
     file = tmp_path / "bend.csv"
     file.write_text("\n".join(["# x_m,y_m,w_tr_right_m,w_tr_left_m", *lines]) + "\n")
-    road = worlds.PacedRoad(key="circuit-65", title="bend", scenario=str(file), options={"grip": 0.5})
+    road = worlds.PacedRoad(
+        key="circuit-65", title="bend", scenario=str(file), options={"grip": 0.5}
+    )
     monkeypatch.setitem(worlds.ROADS, "circuit-65", road)
     few = [one for one in worlds.DEVIATIONS if one.key in ("nominal", "Cr-10")]
     monkeypatch.setattr(worlds, "DEVIATIONS", tuple(few))
