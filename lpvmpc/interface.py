@@ -11,8 +11,8 @@ import numpy as np
 from lpvmpc.errors import OptionError
 from lpvmpc.units import Array
 
-FALLBACKS = ("", "shifted", "braking")
-"""What a controller may do after a refused solve; the trace writes 0, 1, 2."""
+FALLBACKS = ("", "shifted", "braking", "driving")
+"""What a controller may do after a refused solve; the trace writes 0 to 3."""
 
 
 class State(NamedTuple):
@@ -135,7 +135,7 @@ class Diagnostics:
     solved: bool = True
     """Whether the QP was solved and its solution passed the check."""
     fallback: str = ""
-    """Empty, or which fallback was used: `shifted` or `braking`."""
+    """Empty, or which fallback was used: `shifted`, `braking` or `driving`."""
     status: str = "SOLVED"
     """Status of the solve."""
     kkt_residual: float = 0.0

@@ -20,7 +20,6 @@ from lpvmpc.control.geometric import (
 from lpvmpc.control.lmpc import LMPC, LMPCWeights, lateral
 from lpvmpc.control.pid import PIDGains, SpeedPID
 from lpvmpc.control.qp import QPResult
-from lpvmpc.control.tracker import BRAKING
 from lpvmpc.control.weights_file import shipped_file
 from lpvmpc.errors import OptionError
 from lpvmpc.interface import State
@@ -286,7 +285,7 @@ def test_the_steering_rate_of_lmpc_is_that_of_the_servo(car):
     assert controller.diagnostics.solved
 
 
-def test_a_refused_solve_follows_the_plan_and_then_brakes(car):
+def test_a_refused_solve_follows_the_plan_and_then_drives_on(car):
     controller = made("lmpc-pso-pid", car)
     state, preview = seen(ey=0.2)
     controller.reset(RNG)
@@ -294,11 +293,12 @@ def test_a_refused_solve_follows_the_plan_and_then_brakes(car):
     plan = controller.horizon.plan.copy()  # already shifted
     refusal = QPResult(np.empty(0), False, "MAX_ITER_REACHED", np.nan, 0.0, 0.0)
     controller.solver.solve = lambda *arrays: refusal
-    for k, expected in enumerate(("shifted", "shifted", "shifted", "braking", "braking")):
+    for k, expected in enumerate(("shifted", "shifted", "shifted", "driving", "driving")):
         delta, ax = controller.command(state, preview)
         assert controller.diagnostics.fallback == expected
-        assert delta == plan[k, 0]
-        assert (ax == BRAKING) == (expected == "braking")
+        if expected == "shifted":
+            assert delta == plan[k, 0]
+    assert delta < 0.0 and ax == 0.0  # to the path on the right, at the reference's speed
 
 
 # Names and messages -----------------------------------------------------------------------------

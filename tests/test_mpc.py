@@ -10,12 +10,11 @@ from lpvmpc.control.formulation import EY_MAX, PAPER, Formulation
 from lpvmpc.control.lpv_mpc import LPVMPC
 from lpvmpc.control.qp import QPResult
 from lpvmpc.control.stiffness.models import ConstantStiffness
-from lpvmpc.control.tracker import BRAKING
 from lpvmpc.errors import OptionError
 from lpvmpc.interface import Preview, State
 from lpvmpc.plant.mjcf import packaged_car
 
-TS, NP = 0.033, 10
+TS, NP = 0.033, 12  # the horizon, and two periods of unknown latency
 
 
 @pytest.fixture(scope="module")
@@ -157,21 +156,35 @@ def test_a_known_delay_is_compensated(car):
     assert np.abs(known[30:, 3]).max() < 0.8 * np.abs(unknown[30:, 3]).max()
 
 
-def test_a_refused_solve_follows_the_plan_and_then_brakes(car):
-    controller = linear_tires(car)
+def test_a_refused_solve_follows_the_plan_and_then_drives_on(car):
+    controller = linear_tires(car, formulation=Formulation(steering=False))
     x = start(15.0, ey=0.2, a=0.1)
     seen, commands = state_of(x, np.zeros(NX)), []
     controller.reset(np.random.default_rng(0))
     controller.command(seen, preview_of(x, 0.0, 15.0))
     plan = controller.horizon.plan.copy()  # already shifted
     refusal = QPResult(np.empty(0), False, "MAX_ITER_REACHED", np.nan, 0.0, 0.0)
-    controller.solver.solve = lambda *arrays: refusal
-    for expected in ("shifted", "shifted", "shifted", "braking", "braking"):
+    solve, controller.solver.solve = controller.solver.solve, lambda *arrays: refusal
+    for expected in ("shifted", "shifted", "shifted", "driving", "driving"):
         commands.append(controller.command(seen, preview_of(x, 0.0, 15.0)))
         assert controller.diagnostics.fallback == expected
-    np.testing.assert_array_equal([c.delta for c in commands], plan[:5, 0])
-    np.testing.assert_array_equal([c.ax for c in commands[:3]], plan[:3, 1])
-    assert [c.ax for c in commands[3:]] == [BRAKING, BRAKING]
+    np.testing.assert_array_equal(commands[:3], plan[:3])
+    assert commands[3].ax == commands[4].ax == 0.0  # it has the reference's speed
+    assert commands[4].delta < 0.0  # the path lies to the right
+    assert abs(commands[3].delta - commands[2].delta) <= car.delta_rate_max * TS + 1e-12
+    controller.solver.solve = solve
+    controller.command(seen, preview_of(x, 0.0, 15.0))
+    assert controller.diagnostics.fallback == ""
+
+
+def test_geometry_alone_brings_the_car_back(car):
+    """Nothing can be solved, from the first period to the last."""
+    controller = linear_tires(car)
+    refusal = QPResult(np.empty(0), False, "MAX_ITER_REACHED", np.nan, 0.0, 0.0)
+    controller.solver.solve = lambda *arrays: refusal
+    for vx, kappa in ((3.0, 0.03), (20.0, 0.005)):
+        states, _ = drive(car, controller, kappa, vx, 400, x=start(vx - 1.0, ey=0.5))
+        assert np.abs(states[-50:, 3]).max() < 0.25 and abs(states[-1, 0] - vx) < 0.5
 
 
 def test_a_measurement_that_is_no_number_is_survived(car):
@@ -195,7 +208,7 @@ def test_a_measurement_that_is_no_number_is_survived(car):
 def test_a_preview_that_is_too_short_is_named(car):
     controller = linear_tires(car, delay=2)
     x = start(15.0, a=0.1)
-    with pytest.raises(OptionError, match="preview length is 11, but must be at least 13 points"):
+    with pytest.raises(OptionError, match="preview length is 13, but must be at least 15 points"):
         controller.command(state_of(x, np.zeros(NX)), preview_of(x, 0.0, 15.0))
 
 

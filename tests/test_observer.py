@@ -23,6 +23,31 @@ def model():
     return Ad, Ed, cd, x
 
 
+def learn(estimate, predicted, measured, gain, walk=np.inf, noise=None, last=None):
+    noise = np.zeros(3) if noise is None else noise
+    last = np.zeros(3) if last is None else last
+    disturbance.update(
+        estimate, predicted, measured, gain, disturbance.LIMIT, np.full(3, walk), noise, last, TS
+    )
+
+
+def test_the_gain_follows_the_noise_that_it_sees():
+    rng, spread = np.random.default_rng(0), {}
+    for std in (1e-5, 0.03):  # of the measured speeds [m/s]: none to speak of, and a good GNSS's
+        estimate, noise, last, seen = np.zeros(3), np.zeros(3), np.zeros(3), []
+        for _ in range(600):
+            truth = np.array([0.0, 1.0, 0.0])
+            error = (truth - estimate) * TS + std * rng.standard_normal(3)
+            measured = np.zeros(NX)
+            measured[:3] = error
+            learn(estimate, np.zeros(NX), measured, np.full(3, 0.6), 1.0, noise, last)
+            seen.append(estimate.copy())
+        assert np.mean(seen[300:], axis=0)[1] == pytest.approx(1.0, abs=0.15)
+        spread[std] = np.std(seen[300:], axis=0)[1]
+    # at the full gain the noise would be sqrt(0.6 / 1.4) * 0.03 / TS = 0.6 m/s2
+    assert spread[1e-5] < 0.01 and 0.05 < spread[0.03] < 0.35
+
+
 @pytest.mark.parametrize("gain", [0.1, 0.3, 1.0])
 def test_a_constant_disturbance_is_found_without_steady_state_error(model, gain):
     Ad, Ed, cd, x = model
@@ -30,7 +55,7 @@ def test_a_constant_disturbance_is_found_without_steady_state_error(model, gain)
     for _ in range(200):
         predicted = Ad @ x + Ed @ estimate + cd
         x = Ad @ x + Ed @ truth + cd
-        disturbance.update(estimate, predicted, x, np.full(3, gain), disturbance.LIMIT, TS)
+        learn(estimate, predicted, x, np.full(3, gain))
     # geometric convergence, factor at most 1 - 0.1/2 per period: 0.95^200 = 4e-5
     np.testing.assert_allclose(estimate, truth, atol=1e-3)
 
@@ -45,5 +70,5 @@ def test_a_disturbance_moves_position_within_the_period(model):
 def test_the_estimate_is_limited():
     estimate = np.zeros(3)
     measured = np.full(NX, 100.0)
-    disturbance.update(estimate, np.zeros(NX), measured, np.ones(3), disturbance.LIMIT, TS)
+    learn(estimate, np.zeros(NX), measured, np.ones(3))
     np.testing.assert_array_equal(estimate, disturbance.LIMIT)

@@ -98,7 +98,8 @@ def test_the_network_learns_the_road_and_forgets_it(car):
     for _ in range(5):  # both axles give less than the dry tires would, at a large slip
         moment = 1.2 * -1200.0 - 1.6 * -500.0
         unmodelled = np.array([-1700.0 / car.m, moment / car.Iz])
-        model.learn(unmodelled, np.array([5500.0, 2500.0]), 0.0, 3.0)
+        forces = np.array([1e4, 5500.0, 1e4, 2500.0])
+        model.learn(unmodelled, forces, np.array([0.08, 0.04]), 0.0, 6.0)
     assert model.friction < 0.95
     model.reset()
     assert model.friction == 1.0
@@ -113,10 +114,11 @@ def test_friction_in_use_bounds_the_estimate_from_below(car):
     """A front axle that drives with 2.5 m/s2 is not on ice, whatever its tangent says."""
     model = NetworkStiffness(car)
     for _ in range(200):
-        model.learn(np.array([-5.0, -5.0]), np.array([3000.0, 500.0]), 2.5, 2.0)
+        forces = np.array([1e4, 3000.0, 1e4, 500.0])
+        model.learn(np.array([-5.0, -5.0]), forces, np.array([0.08, 0.04]), 2.5, 2.0)
     load = car.m * (9.81 * car.lr - 2.5 * car.h) / car.wheelbase
     used = np.hypot(car.m_eff * 2.5 / load, 2.0 / 9.81) / car.mu
-    assert model.friction == pytest.approx(0.9 * used, rel=0.01)
+    assert 0.9 * used <= model.friction < 0.75
 
 
 def test_the_network_is_near_the_oracle_in_a_bend(car):

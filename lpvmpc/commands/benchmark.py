@@ -9,12 +9,14 @@ measured, promises met or not; 2 bad input; 130 interrupted.
 
 from __future__ import annotations
 
+import re
 import sys
+import textwrap
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from lpvmpc.commands.batches import Progress, driver, prepare, wrapped
+from lpvmpc.errors import LPVMPCError
 from lpvmpc.kit import cli
 from lpvmpc.kit.report import write_report
 
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from lpvmpc.bench.cases import DrivenCase, FactorSearch
+    from lpvmpc.sim.batch import Run
 
 NAME = "benchmark"
 QUICK_OUT = Path("runs/benchmark-quick")
@@ -52,7 +55,7 @@ def main(options: Options) -> int:
     out = cli.writable_folder(options.out or (QUICK_OUT if options.quick else Path("docs/results")))
     if options.json is not None:
         cli.writable_folder(options.json.parent)
-    prepare(options.cache, options.resume, NAME)
+    prepare(options.cache, options.resume)
     from lpvmpc.bench import cases as ablation
     from lpvmpc.bench import report
 
@@ -85,6 +88,43 @@ def main(options: Options) -> int:
     return cli.DONE
 
 
+def prepare(cache: Path, resume: bool) -> None:
+    """Make the folder of results; empty it, or see that there is something to go on from.
+
+    Raises:
+        LPVMPCError: Nothing to go on from.
+        OutputError: The folder cannot be written.
+    """
+    if resume and not results(cache):
+        raise LPVMPCError(
+            f"--resume needs the results of an earlier benchmark, but {str(cache)!r} has none; "
+            "leave --resume out to begin anew."
+        )
+    cli.writable_folder(cache)
+    if not resume:
+        for file in results(cache):
+            file.unlink(missing_ok=True)
+
+
+def results(cache: Path) -> list[Path]:
+    """The kept results: files named by a key, and no others."""
+    return [file for file in cache.glob("*.json") if re.fullmatch(r"[0-9a-f]{32}", file.stem)]
+
+
+def driver(jobs: int, cache: Path, progress: Progress) -> Any:
+    """Makes a function that drives runs under a title, as `bench.cases` wants it."""
+    from lpvmpc.sim.batch import drive_all
+
+    def under(title: str) -> Any:
+        def drive(runs: Sequence[Run]) -> list[dict[str, Any]]:
+            progress.begin(title, len(runs))
+            return drive_all(runs, jobs=jobs, cache=cache, progress=progress)
+
+        return drive
+
+    return under
+
+
 def summary(rows: Sequence[DrivenCase], searches: Mapping[bool, FactorSearch]) -> str:
     """What is printed, at 80 columns: the summary, the promises, the sentences."""
     from lpvmpc.bench import report
@@ -100,3 +140,50 @@ def summary(rows: Sequence[DrivenCase], searches: Mapping[bool, FactorSearch]) -
         *sentences(Results(rows), dict(searches)),
     ]
     return "\n".join(part if "\n" in part else wrapped(part) for part in parts)
+
+
+def wrapped(sentence: str) -> str:
+    """A sentence in lines of 80 columns, numbers kept together with their unit."""
+    kept = re.sub(r"(?<=\d) (?=%|mm)", "\N{NO-BREAK SPACE}", sentence)
+    lines = textwrap.fill(kept, 80, break_on_hyphens=False)
+    return lines.replace("\N{NO-BREAK SPACE}", " ")
+
+
+class Progress:
+    """Progress bar with runs per second, on a terminal."""
+
+    def __init__(self) -> None:
+        self.bar: Any = None
+        self.title, self.first = "", True
+
+    def __enter__(self) -> Progress:
+        if sys.stderr.isatty():
+            from rich.console import Console
+            from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+            from rich.progress import Progress as Bar
+
+            self.bar = Bar(
+                "{task.description}", BarColumn(), TextColumn("{task.completed}/{task.total}"),
+                TextColumn("{task.fields[rate]} runs/s"), TimeRemainingColumn(),
+                console=Console(stderr=True), transient=True,
+            )
+            self.bar.start()
+        return self
+
+    def begin(self, title: str, runs: int) -> None:
+        """A new batch."""
+        if self.bar is not None:
+            for task in self.bar.tasks:
+                self.bar.remove_task(task.id)
+            self.task = self.bar.add_task(title, total=runs, rate="-")
+
+    def __call__(self, done: int, runs: int) -> None:
+        """Called with the number of runs that are done, and of all."""
+        if self.bar is not None:
+            speed = self.bar.tasks[0].speed
+            rate = "-" if speed is None else f"{speed:.2g}"
+            self.bar.update(self.task, completed=done, rate=rate)
+
+    def __exit__(self, *error: object) -> None:
+        if self.bar is not None:
+            self.bar.stop()

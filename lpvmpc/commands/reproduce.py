@@ -100,8 +100,7 @@ def retune(cache: Path, jobs: int, quick: bool, say: Progress) -> dict[str, Tuni
         folder = cache / "tuning" / name
         if quick:
             task = tuning.Task(
-                controller=name, scenarios=("tuning-b",), worlds=("ideal", "fleet"),
-                generations=2, population=4,
+                controller=name, scenarios=("tuning-b",), generations=2, population=4
             )
             folder = cache / "tuning-quick" / name
         one = records.read_tuning(retrain.tune(task, folder, jobs, say))

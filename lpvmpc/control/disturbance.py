@@ -12,13 +12,17 @@ from numba import njit
 
 
 @njit(cache=True)
-def update(disturbance, predicted, measured, gain, limit, Ts):
+def update(disturbance, predicted, measured, gain, limit, walk, noise, last, Ts):
     """Move the disturbance towards what explains the prediction error of (vx, vy, r), in place.
 
-    d += gain (measured - predicted) / Ts, clipped to +-limit
+    d += k (measured - predicted) / Ts, clipped to +-limit
+
+    k is the steady gain of a Kalman filter for a disturbance that walks by `walk` sqrt(t), at most
+    `gain`. The noise of the measurements is half the mean square of the differences of successive
+    errors: what a disturbance makes is alike from one period to the next, what noise makes is not.
 
     With a perfect model and a constant disturbance the estimate converges geometrically with
-    factor about 1 - gain; without steady-state error, since the update stops only when the
+    factor about 1 - k; without steady-state error, since the update stops only when the
     prediction is right.
 
     Args:
@@ -27,15 +31,28 @@ def update(disturbance, predicted, measured, gain, limit, Ts):
         measured: What was measured, shape (11,).
         gain: Observer gain in (0, 1], per component, shape (3,).
         limit: Largest believable disturbance per component, shape (3,).
+        walk: How far the disturbance moves within a second, infinite for k = gain, shape (3,).
+        noise: Variance of the errors' noise (3,) [units of the disturbance, squared], changed.
+        last: Error of the period before (3,), changed.
         Ts: Control period [s].
 
     Source: integral-action observers as in Pannocchia and Rawlings, Disturbance models for
     offset-free model-predictive control, AIChE Journal 49 (2003).
     """
     for i in range(3):
-        value = disturbance[i] + gain[i] * (measured[i] - predicted[i]) / Ts
+        error = (measured[i] - predicted[i]) / Ts
+        k = gain[i]
+        if walk[i] < np.inf:
+            jump = error - last[i]
+            last[i] = error
+            noise[i] += (0.5 * jump * jump - noise[i]) * Ts / NOISE_MEMORY
+            ratio = walk[i] ** 2 * Ts / max(noise[i], 1e-12)
+            k = min(k, 0.5 * (np.sqrt(ratio * ratio + 4.0 * ratio) - ratio))
+        value = disturbance[i] + k * (measured[i] - predicted[i]) / Ts
         disturbance[i] = min(max(value, -limit[i]), limit[i])
 
 
+NOISE_MEMORY = 2.0
+"""Time over which the noise is averaged [s]."""
 LIMIT = np.array([10.0, 10.0, 10.0])
 """Largest believable disturbance [m/s2, m/s2, rad/s2]: more than one g of misprediction."""

@@ -48,6 +48,15 @@ class Formulation:
     """Bound on the front slip angle that a command may ask for."""
     traction: bool = True
     """Traction control: less drive force where the wheel speeds tell that a driven wheel spins."""
+    decoupled: bool = True
+    """Speed errors never steer: the steering's effect on the speed is taken as planned, steady
+    cornering and the path's curvature are those of the speed that the car has."""
+    approach: bool = True
+    """A car far beside its path is led back to it, not pulled."""
+    steering: bool = True
+    """Lag, latency, gain and offset of the steering are learned online."""
+    noise: bool = True
+    """The observer's gain follows the noise that it sees."""
     span: int = 2
     """Periods of the horizon that share one frozen model and one row of the ey bound; a divisor of
     Np. Two halve the time to build and cost no accuracy that shows."""
@@ -84,6 +93,10 @@ PAPER = Formulation(
     observer=False,
     slip_cap=False,
     traction=False,
+    decoupled=False,
+    approach=False,
+    steering=False,
+    noise=False,
 )
 """The paper's plain formulation on the corrected matrices."""
 

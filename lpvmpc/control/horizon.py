@@ -44,6 +44,9 @@ class Horizon:
     """Affine forces (Cf [N/rad], F0f [N], Cr, F0r) of the axles per interval, shape (n, 4)."""
 
     # cost
+    decoupled: int
+    """Whether speed errors never steer: the steering's effect on the speed is taken as planned, and
+    the path is looked at where the car will be, not where its reference would."""
     steady: int
     """Whether the states' reference is steady cornering; else speed alone, the others zero."""
     x_ref: Array
@@ -53,7 +56,10 @@ class Horizon:
     r_du: Array
     """Diagonal weights of the inputs' increments, shape (nu,)."""
     table: Array
-    """Terminal weight at each of `cost.SPEEDS`, shape (16, nx + nu, nx + nu)."""
+    """Terminal weights, at each of `cost.SPEEDS` for one of `table_lags` after the other, shape
+    (16 n_lags, nx + nu, nx + nu)."""
+    table_lags: Array
+    """Lags of the steering that the terminal weights are for [s], shape (n_lags,)."""
     terminal: Array
     """Terminal weight of this period, symmetric, shape (nx + nu, nx + nu)."""
     z_ref: Array
@@ -83,8 +89,10 @@ class Horizon:
     """Index of the softly bounded state."""
     soft_every: int
     """The soft bound holds at every this many steps, a divisor of N."""
-    soft_bound: float
-    """The soft bound itself: |x[soft]| <= soft_bound + slack."""
+    soft_bound: Array
+    """The soft bound itself: |x[soft]| <= soft_bound + slack, shape (1,)."""
+    approach: int
+    """Whether a car far beside its path is led back to it, not pulled."""
 
     # the QP, see `qp.condense`
     scale: Array
@@ -114,8 +122,13 @@ class Horizon:
     and predicted over the delay. Shape (N + 1, ns)."""
     knots: Array
     """The schedule at the ends of the intervals that share a model, shape (n + 1, ns)."""
+    delay: int
+    """Known periods until a command takes effect."""
+    lateness: Array
+    """Periods beyond them, as learned, a whole number, shape (1,)."""
     queue: Array
-    """Commands on their way to the car, that of the period before last, shape (delay + 1, 2)."""
+    """Commands, that of the period before last; those on their way to the car are the last ones,
+    shape (delay + 1 or more, 2)."""
     x_last: Array
     """State measured in the period before, shape (ns,)."""
     kappa_last: Array
@@ -130,8 +143,18 @@ class Horizon:
     """Estimated acceleration that the model lacks, of (vx, vy, r), shape (3,)."""
     unmodelled: Array
     """Acceleration of (vy, r) that the model without observer left unexplained, shape (2,)."""
-    offsets: Array
-    """Offsets of the axles' forces in the period before [N], shape (2,)."""
+    acting: Array
+    """Affine forces of the axles in the period before, shape (4,)."""
+    slips: Array
+    """Mean slip angles of the axles in it [rad], shape (2,)."""
+    noise: Array
+    """Variance of what the observer sees from one period to the next, squared units of the
+    disturbance, shape (3,)."""
+    error: Array
+    """What the observer saw in the period before, shape (3,)."""
+    walk: Array
+    """How far a disturbance is believed to move within a second, shape (3,); infinite: as far as
+    the gain lets it."""
     allowed: Array
     """Acceleration that traction control allows [m/s2], shape (1,)."""
 
@@ -161,6 +184,7 @@ class Horizon:
         table: Array | None = None,
         ns: int | None = None,
         delay: int = 0,
+        unknown: int = 0,
         soft_every: int = 1,
         **constants: Any,
     ) -> Horizon:
@@ -178,6 +202,7 @@ class Horizon:
             table: As above; no terminal weight by default.
             ns: As above; nx by default.
             delay: Periods until a command takes effect.
+            unknown: Periods by which that may be later.
             soft_every: As above; so many periods share one model.
             constants: Other fields that are no zeros.
         """
@@ -190,16 +215,21 @@ class Horizon:
             "free": (N, nx), "forced": (N, nx, N * nu), "H": (columns, columns),
             "g": (columns,), "C": (rows, columns), "lo": (rows,), "hi": (rows,),
             "plan": (N, 2), "prediction": (N + 1, ns), "schedule": (N + 1, ns),
-            "knots": (n + 1, ns), "queue": (delay + 1, 2), "x_last": (ns,), "kappa_last": (1,),
+            "knots": (n + 1, ns),
+            "queue": (delay + unknown + 1, 2), "x_last": (ns,), "kappa_last": (1,),
             "predicted": (ns,), "inner": (5,), "gain": (3,), "disturbance": (3,),
-            "unmodelled": (2,), "offsets": (2,), "allowed": (1,),
+            "unmodelled": (2,), "acting": (4,), "slips": (2,), "allowed": (1,), "lateness": (1,),
+            "soft_bound": (1,), "table_lags": (1,), "noise": (3,), "error": (3,), "walk": (3,),
         }  # fmt: skip
+        if "table_lags" in constants:
+            shapes["table_lags"] = np.shape(constants["table_lags"])
         arrays: dict[str, Any] = {name: np.zeros(shape) for name, shape in shapes.items()}
+        arrays["soft_bound"][:] = arrays["walk"][:] = np.inf
         for name in [name for name in arrays if name in constants]:
             arrays[name][...] = constants.pop(name)
         numbers: dict[str, Any] = {
             "form": 0, "method": 0, "steady": 0, "delta_max": np.inf, "slip_cap": np.inf,
-            "traction": 0, "soft": 0, "soft_bound": np.inf,
+            "traction": 0, "soft": 0, "decoupled": 0, "approach": 0,
         }  # fmt: skip
         return cls(
             q=q.copy(),
@@ -209,6 +239,7 @@ class Horizon:
             car=car.copy(),
             table=np.zeros((0, z, z)) if table is None else table.copy(),
             soft_every=soft_every,
+            delay=delay,
             **arrays,
             **(numbers | constants),
         )
@@ -217,7 +248,7 @@ class Horizon:
         """Start anew: nothing planned, nothing predicted, nothing observed."""
         for array in (
             self.plan, self.prediction, self.schedule, self.knots, self.queue, self.x_last,
-            self.kappa_last, self.inner, self.disturbance,
+            self.kappa_last, self.inner, self.disturbance, self.lateness, self.noise, self.error,
         ):  # fmt: skip
             array[...] = 0.0
         self.allowed[0] = np.inf

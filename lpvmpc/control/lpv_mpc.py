@@ -54,11 +54,20 @@ from lpvmpc.control.formulation import (
 )
 from lpvmpc.control.horizon import Horizon
 from lpvmpc.control.period import estimate, thin, write
+from lpvmpc.control.steering import LATENCIES, SteeringBank
 from lpvmpc.control.stiffness.models import ConstantStiffness, NetworkStiffness, StiffnessModel
 from lpvmpc.control.tracker import Tracker, checked_delay
 from lpvmpc.control.weights_file import chosen
 from lpvmpc.interface import Preview, State
 from lpvmpc.units import Array
+
+TAU_DELTA = Bicycle._fields.index("tau_delta")
+"""Place of the steering's lag among the model's constants."""
+TABLE_LAGS = (1.0, 2.0, 3.0)
+"""Lags of the steering that terminal weights are made for, as multiples of the data sheet's."""
+WALK = np.array([2.0, 2.0, 2.0])
+"""How far a disturbance is believed to move within a second [m/s2, m/s2, rad/s2]: the paper's wind
+rises by 3 m/s2 in one."""
 
 
 class LPVMPC(Tracker):
@@ -100,6 +109,7 @@ class LPVMPC(Tracker):
         parts = {part: getattr(form, part) for part in ("lags", "relaxation", "roll", "trail")}
         self.bicycle = Bicycle.of(car).simplified(**parts)
         self._learn = getattr(stiffness, "learn", None)  # a model that adapts to the road
+        self.steering = SteeringBank(car, form.Ts, delay) if form.steering else None
         super().__init__(car, _horizon(car, self.bicycle, form, self.weights, delay))
 
     def reset(self, rng: np.random.Generator) -> None:
@@ -123,9 +133,16 @@ class LPVMPC(Tracker):
             self._begin(x, state, preview)
         elif not self.informed:  # the period before was not measured: no prediction to compare with
             x[A:] = h.inner
+        bank = self.steering
+        if bank is not None and self.informed is not None:
+            h.car[TAU_DELTA], h.lateness[0] = bank.update(state.delta)
         a = estimate(h.handle, x, preview.kappa, bool(self.informed))
         if self.informed and self._learn is not None:
-            self._learn(h.unmodelled, h.offsets, a, state.ay)
+            self._learn(h.unmodelled, h.acting, h.slips, a, state.ay)
+
+    def ask(self, delta: float) -> float:
+        """The angle to ask for, so that the wheels have this one [rad]."""
+        return delta if self.steering is None else self.steering.ask(delta)
 
     def write_qp(self, state: State, preview: Preview) -> None:
         """Adapt, discretise, and write the QP."""
@@ -154,6 +171,9 @@ class LPVMPC(Tracker):
         u = x[[DELTA, A]]
         h.queue[:] = u
         h.plan[:] = u
+        if self.steering is not None:
+            self.steering.reset(x[DELTA])
+            h.car[TAU_DELTA] = self.bicycle.tau_delta
         h.schedule[:, A] = x[A]
         thin(h.schedule, h.knots)
 
@@ -166,10 +186,13 @@ def _horizon(
     q = stage_weights(weights, ("vx", "vy", "r", "ey", "epsi"), N, NX, Ts)
     r_du = increment_weights(weights, ("delta", "ax"), Ts)
     steady = form.reference == "steady"
-    table = np.zeros((len(SPEEDS), NZ, NZ))
+    lags = bicycle.tau_delta * np.array(TABLE_LAGS if form.steering else (1.0,))
+    table = np.zeros((len(SPEEDS) * len(lags), NZ, NZ))
     if weights.terminal > 0.0 and steady:
         axle_forces = np.array([car.Cf, 0.0, car.Cr, 0.0])
-        table = weights.terminal * cost_to_go(bicycle, axle_forces, q[0], r_du, Ts)
+        cars = [bicycle._replace(tau_delta=float(lag)) for lag in lags]
+        costs = [cost_to_go(one, axle_forces, q[0], r_du, Ts) for one in cars]
+        table = weights.terminal * np.concatenate(costs)
     return Horizon.allocated(
         N,
         NX,
@@ -183,6 +206,11 @@ def _horizon(
         q=q,
         r_du=r_du,
         table=table,
+        table_lags=lags,
+        decoupled=form.decoupled,
+        approach=form.approach,
+        unknown=LATENCIES - 1 if form.steering else 0,
+        walk=(WALK if form.noise else np.inf),
         slack_weights=SLACK_WEIGHTS,
         delta_max=min(DELTA_MAX_PAPER, car.delta_max),
         # the servo's rate; the drive has only its lag

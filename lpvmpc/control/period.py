@@ -15,12 +15,32 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from lpvmpc.car.bicycle import DELTA, NU, NX, VX, VY, A, R, lpv, steady_state, unpack
+from lpvmpc.car.bicycle import (
+    AF,
+    DELTA,
+    EPSI,
+    EY,
+    NU,
+    NX,
+    VX,
+    VY,
+    A,
+    R,
+    lpv,
+    steady_state,
+    unpack,
+)
 from lpvmpc.car.hold import EULER, hold
 from lpvmpc.control.cost import terminal_weight
 from lpvmpc.control.disturbance import LIMIT, update
+from lpvmpc.control.formulation import EY_MAX
 from lpvmpc.control.qp import condense
 from lpvmpc.control.traction import hold as hold_drive
+
+NEAR = 0.15
+"""A car that is no further beside its path than this is pulled onto it [m]."""
+BACK = 1.5
+"""Time constant with which one that is further is led back [s]."""
 
 
 @njit(cache=True)
@@ -42,6 +62,11 @@ def freeze(h, kappa, car):
         for i in range(NX):
             where[i] = 0.5 * (schedule[k, i] + schedule[end, i])
         lpv(where, 0.5 * (kappa[k] + kappa[end]), tires[n], car, form, A_, B_, c_)
+        if h.decoupled:  # what steers does not brake: its effect on the speed is taken as planned
+            for j in range(NX):
+                if j != VX and j != A:
+                    c_[VX] += A_[VX, j] * where[j]
+                    A_[VX, j] = 0.0
         for i in range(NX):
             for m in range(NU):
                 inputs[i, m] = B_[i, m]
@@ -64,14 +89,48 @@ def freeze(h, kappa, car):
 def references(h, kappa, vx_ref, car):
     """State reference at steps 1..N of the horizon, in place."""
     tires, disturbance, steady, x_ref = h.axle_forces, h.disturbance, h.steady, h.x_ref
+    schedule = h.schedule
     N = x_ref.shape[0]
+    aside = schedule[0, EY]
+    excess = max(abs(aside) - NEAR, 0.0) if h.approach else 0.0
     span = N // tires.shape[0]
     for k in range(N):
         x_ref[k] = 0.0
         if steady:
             law = tires[k // span]
-            steady_state(vx_ref[k + 1], kappa[k + 1], law, disturbance, car, x_ref[k])
+            vx = schedule[k + 1, VX] if h.decoupled else vx_ref[k + 1]
+            steady_state(vx, kappa[k + 1], law, disturbance, car, x_ref[k])
         x_ref[k, VX] = vx_ref[k + 1]
+        if excess > 0.0:  # led back to the path, not pulled
+            ey = np.sign(aside) * excess * np.exp(-(k + 1) * h.Ts / BACK)
+            x_ref[k, EY] = ey
+            x_ref[k, EPSI] -= np.arctan(ey / BACK / max(schedule[k + 1, VX], car.vx_min))
+    if h.approach:
+        h.soft_bound[0] = EY_MAX + excess
+
+
+@njit(cache=True)
+def ahead(h, kappa, vx_ref):
+    """Curvature where the car will be by its schedule, shape (N + 1,).
+
+    The preview tells it where a point will be that moves at the reference speed; a car that is
+    faster comes to it earlier. Linear between the preview's points, held beyond its last one.
+    """
+    schedule, Ts = h.schedule, h.Ts
+    N = len(h.plan)
+    out = np.empty(N + 1)
+    out[0] = kappa[0]
+    s, s_low, k = 0.0, 0.0, 0
+    s_high = 0.5 * (vx_ref[0] + vx_ref[1]) * Ts
+    for i in range(1, N + 1):
+        s += 0.5 * (schedule[i - 1, VX] + schedule[i, VX]) * Ts
+        while s > s_high and k + 2 < len(vx_ref):
+            k += 1
+            s_low, s_high = s_high, s_high + 0.5 * (vx_ref[k] + vx_ref[k + 1]) * Ts
+        share = (s - s_low) / (s_high - s_low) if s_high > s_low else 1.0
+        share = min(max(share, 0.0), 1.0)
+        out[i] = kappa[k] + share * (kappa[k + 1] - kappa[k])
+    return out
 
 
 @njit(cache=True)
@@ -93,9 +152,10 @@ def bounds(h, car, slip_cap, force):
         u_lo[k, 1] = ax_min
         u_hi[k, 1] = min(force, power / vx) / m_eff
         for m in range(len(du_max)):  # what the increment bounds can reach is allowed
-            reach = (k + 1) * du_max[m]
-            u_lo[k, m] = min(u_lo[k, m], u_prev[m] + reach)
-            u_hi[k, m] = max(u_hi[k, m], u_prev[m] - reach)
+            least = (u_lo[k - 1, m] if k > 0 else u_prev[m]) - du_max[m]
+            most = (u_hi[k - 1, m] if k > 0 else u_prev[m]) + du_max[m]
+            u_lo[k, m] = min(max(u_lo[k, m], least), most)
+            u_hi[k, m] = max(min(u_hi[k, m], most), least)
 
 
 @njit(cache=True)
@@ -110,8 +170,10 @@ def write(h, kappa, vx_ref, wheel_speed, friction):
         friction: Scale of the road's friction as estimated [-].
     """
     car = unpack(h.car)
-    delay = len(h.queue) - 1
+    delay = h.delay + int(h.lateness[0])
     kappa, vx_ref = kappa[delay:], vx_ref[delay:]
+    if h.decoupled:
+        kappa = ahead(h, kappa, vx_ref)
     _, force, _, m_eff = h.drive
     if h.traction:
         R_w, half_track, vx_min = h.wheels
@@ -123,7 +185,7 @@ def write(h, kappa, vx_ref, wheel_speed, friction):
         force = m_eff * allowed[0]
     freeze(h, kappa, car)
     references(h, kappa, vx_ref, car)
-    terminal_weight(h, vx_ref[len(h.plan)])
+    terminal_weight(h, vx_ref[len(h.plan)], car.tau_delta)
     # the tires' peak moves to smaller slip as the road gets slippery
     bounds(h, car, h.slip_cap * min(friction, 1.0), force)
     condense(h)
@@ -197,8 +259,10 @@ def estimate(h, x, kappa, compared):
     h.kappa_last[0] = kappa[0]
     start, ahead = h.schedule[0], np.empty(NX)
     start[:] = x
-    for i in range(len(h.queue) - 1):
-        advance(h, start, start, kappa[i], kappa[i + 1], h.queue[i + 1], ahead)
+    delay = h.delay + int(h.lateness[0])
+    first = len(h.queue) - delay
+    for i in range(delay):
+        advance(h, start, start, kappa[i], kappa[i + 1], h.queue[first + i], ahead)
         start[:] = ahead
     h.knots[0] = start
     return x[A]
@@ -208,17 +272,19 @@ def estimate(h, x, kappa, compared):
 def compare(h, x, kappa):
     """Compare the measured state with what the model expected for it, in place.
 
-    Fills in what is not measured, tells the tires' error and the offsets that go with it
-    (`unmodelled`, `offsets`), and moves the disturbance.
+    Fills in what is not measured, tells the tires' error and the forces and slips that go with it
+    (`unmodelled`, `acting`, `slips`), and moves the disturbance.
     """
     predicted, disturbance = h.predicted, h.disturbance
-    advance(h, h.x_last, x, h.kappa_last[0], kappa, h.queue[0], predicted)
+    in_force = h.queue[len(h.queue) - 1 - h.delay - int(h.lateness[0])]
+    advance(h, h.x_last, x, h.kappa_last[0], kappa, in_force, predicted)
+    h.acting[:] = h.axle_forces[0]
     for i in range(2):
         h.unmodelled[i] = disturbance[1 + i] + (x[1 + i] - predicted[1 + i]) / h.Ts
-        h.offsets[i] = h.axle_forces[0, 1 + 2 * i]
+        h.slips[i] = 0.5 * (h.x_last[AF + i] + predicted[AF + i])
     for i in range(A, NX):
         h.inner[i - A] = x[i] = predicted[i]
-    update(disturbance, predicted, x, h.gain, LIMIT, h.Ts)
+    update(disturbance, predicted, x, h.gain, LIMIT, h.walk, h.noise, h.error, h.Ts)
 
 
 @njit(cache=True)

@@ -54,7 +54,7 @@ def condense(h):
     """
     Ad, Bd, cd, x_ref, q, r_du, scale = h.Ad, h.Bd, h.cd, h.x_ref, h.q, h.r_du, h.scale
     terminal, z_ref, slack_weights, du_max = h.terminal, h.z_ref, h.slack_weights, h.du_max
-    u_lo, u_hi, soft, soft_every, soft_bound = h.u_lo, h.u_hi, h.soft, h.soft_every, h.soft_bound
+    u_lo, u_hi, soft, soft_bound, soft_every = h.u_lo, h.u_hi, h.soft, h.soft_bound[0], h.soft_every
     H, g, C, lo, hi, free, forced = h.H, h.g, h.C, h.lo, h.hi, h.free, h.forced
     u_prev = h.queue[-1]
     x0 = h.schedule[0, h.schedule.shape[1] - Bd.shape[1] :]

@@ -21,13 +21,25 @@ from lpvmpc.interface import Command, Diagnostics, Preview, State
 from lpvmpc.units import Array
 
 BRAKING = -3.0
-"""Acceleration of the last fallback [m/s2]."""
+"""Acceleration while nothing is measured [m/s2]."""
 REFUSALS = 3
-"""So many refused solves in a row are answered by the plan before; then the car brakes."""
+"""So many refused solves in a row are answered by the plan before; then geometry drives."""
 DELAY_MAX = 30
 """Longest delay that is compensated [periods]."""
 NOT_FINITE = QPResult(np.empty(0), False, "NOT_FINITE", np.nan, 0.0, 0.0)
 """Outcome of a period whose measurement is not a number."""
+
+
+APPROACH = 0.8
+"""How hard the path is approached: rate at which the lateral error falls at low speed [1/s]."""
+SOFTENING = 1.0
+"""Speed added to the car's, so that standing still divides by something [m/s]."""
+DAMPING = 0.05
+"""Angle per yaw rate beyond the path's [s]."""
+SPEED_GAIN = 1.0
+"""Acceleration per speed error [1/s]."""
+AX_MIN, AX_MAX = -3.0, 2.0
+"""Hardest braking and driving [m/s2]."""
 
 
 def checked_delay(delay: int) -> int:
@@ -63,10 +75,10 @@ class Tracker:
         self.car, self.horizon = car, horizon
         self.Np, self.Ts = len(horizon.plan), horizon.Ts
         """Prediction horizon [periods], control period [s]."""
-        self.delay = len(horizon.queue) - 1
+        self.delay = horizon.delay
         """Known delay between command and effect [periods]."""
-        self.preview_steps = self.Np + self.delay
-        """Periods of preview needed: the horizon, and the delay before it begins."""
+        self.preview_steps = self.Np + len(horizon.queue) - 1
+        """Periods of preview needed: the horizon, and the longest delay before it begins."""
         rows, columns = horizon.C.shape
         self.solver = QPSolver(columns, rows, tolerance)
         self._warm_up()
@@ -139,7 +151,7 @@ class Tracker:
             self.accept(result.z)
             self._refused, fallback = 0, ""
         else:
-            fallback = self._fall_back()
+            fallback = self._fall_back(state, preview)
         shift(h.handle)
         delta, ax = h.queue[-1].tolist()
         self.diagnostics = Diagnostics(
@@ -153,7 +165,11 @@ class Tracker:
             h.prediction[:, :5].copy(),
             h.disturbance.copy(),
         )
-        return Command(delta, ax)
+        return Command(self.ask(delta), ax)
+
+    def ask(self, delta: float) -> float:
+        """The angle to ask for, so that the wheels have this one [rad]; here the same."""
+        return delta
 
     def accept(self, z: Array) -> None:
         """Make a solution of the QP the plan and the prediction.
@@ -163,15 +179,23 @@ class Tracker:
         """
         accept(self.horizon.handle, z)
 
-    def _fall_back(self) -> str:
-        """A refused solve: keep to the previous plan, already shifted; after three, brake."""
+    def _fall_back(self, state: State, preview: Preview) -> str:
+        """A refused solve: keep to the previous plan, already shifted; after three, drive on.
+
+        Without a measurement there is nothing to drive by: then the plan is followed while braking.
+        """
         self._refused += 1
         h = self.horizon
         h.prediction[:] = h.schedule
         if self._refused <= REFUSALS:
             return "shifted"
-        h.plan[:, 1] = BRAKING
-        return "braking"
+        if not self.informed:
+            h.plan[:, 1] = BRAKING
+            return "braking"
+        last, step = float(h.queue[-1, 0]), float(h.du_max[0])
+        h.plan[:] = drive_on(state, preview, self.car, last, step)
+        h.prediction[:] = h.schedule[0]  # the next model is frozen where the car is
+        return "driving"
 
     def _warm_up(self) -> None:
         """Load the compiled code, 50 ms, before the first period needs it; then start anew."""
@@ -182,3 +206,36 @@ class Tracker:
         for _ in range(2):  # the second period also compares with the first
             self.command(still, preview)
         self.reset(np.random.default_rng(0))
+
+
+def drive_on(
+    state: State, preview: Preview, car: VehicleParams, last: float, step: float
+) -> tuple[float, float]:
+    """Steering angle and acceleration that keep the car on its path.
+
+    delta = (L + K vx^2) kappa - epsi - atan(0.8 ey / (1 + vx)) - 0.05 (r - kappa vx),
+    K = m / L (lr / Cf - lf / Cr), the steady single track's understeer
+
+    Args:
+        state: The car's state now, finite.
+        preview: Reference from now on.
+        car: Vehicle parameters.
+        last: Angle of the period before [rad].
+        step: Largest change of the angle in a period [rad].
+
+    Returns:
+        Angle [rad], acceleration [m/s2].
+
+    Source: Hoffmann, Tomlin, Montemerlo, Thrun, Autonomous automobile trajectory tracking for
+    off-road driving, ACC 2007, with the feed-forward of Rajamani, section 3.1.
+    """
+    ahead = min(3, len(preview.kappa) - 1)
+    kappa, vx = float(preview.kappa[ahead]), max(state.vx, 0.0)
+    L = car.wheelbase
+    understeer = car.m / L * (car.lr / car.Cf - car.lf / car.Cr)
+    delta = (L + understeer * vx * vx) * kappa - preview.epsi
+    delta -= math.atan(APPROACH * preview.ey / (SOFTENING + vx))
+    delta -= DAMPING * (state.r - kappa * vx)
+    delta = min(max(delta, last - step), last + step)
+    ax = min(max(SPEED_GAIN * (float(preview.vx_ref[ahead]) - state.vx), AX_MIN), AX_MAX)
+    return min(max(delta, -car.delta_max), car.delta_max), ax

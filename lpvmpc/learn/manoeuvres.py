@@ -292,7 +292,11 @@ def _controller(name: str) -> Controller:
     stiffness = ConstantStiffness(car)
     if name == "paper":
         return LPVMPC(car, stiffness=stiffness, formulation=PAPER, weights=PAPER_WEIGHTS)
-    full = Formulation(traction=False)  # the data shall hold spinning wheels as well
+    # As the networks' data were driven: these parts came later. And without traction control, since
+    # the data shall hold spinning wheels as well.
+    full = Formulation(
+        decoupled=False, approach=False, steering=False, noise=False, traction=False
+    )
     return LPVMPC(car, stiffness=stiffness, formulation=full, weights=Weights())
 
 

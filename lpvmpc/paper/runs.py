@@ -162,6 +162,10 @@ PARTS: dict[str, tuple[str, dict[str, Any], dict[str, Any]]] = {
     "observer": ("disturbance observer", {"observer": True}, {"observer": False}),
     "slip cap": ("front slip cap", {"slip_cap": True}, {"slip_cap": False}),
     "traction": ("traction control", {"traction": True}, {"traction": False}),
+    "decoupled": ("speed errors never steer", {"decoupled": True}, {"decoupled": False}),
+    "approach": ("led back from afar", {"approach": True}, {"approach": False}),
+    "steering": ("learned steering", {"steering": True}, {"steering": False}),
+    "noise": ("observer follows noise", {"noise": True}, {"noise": False}),
 }
 """Parts of the formulation in the order in which they are added: what they are, what adds them to
 the plain formulation, what takes them from the full one. Euler holds the paper's one model per

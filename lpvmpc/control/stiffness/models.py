@@ -15,7 +15,7 @@ from lpvmpc.car.axle import Axle, axles, tangent
 from lpvmpc.car.bicycle import AF, AR, PHI, A
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.car.tire import Tire
-from lpvmpc.control.stiffness.friction import FrictionObserver
+from lpvmpc.control.stiffness.adaptation import CF, CR, MU, TireAdaptation
 from lpvmpc.errors import OptionError
 from lpvmpc.interface import AxleForces, State
 from lpvmpc.units import Array
@@ -135,38 +135,43 @@ class NetworkStiffness:
 
         self.car = car
         self.tire = NetworkTire(car, weights, Ts=Ts)
-        self._road = FrictionObserver(car, Ts)
+        self.adaptation = TireAdaptation(car, Ts)
         self.reset()
 
     def reset(self) -> None:
         """Forget the road."""
         self.tire.reset()
-        self._road.reset()
+        self.adaptation.reset()
 
     @property
     def friction(self) -> float:
         """Estimated scale of the road's friction [-]."""
-        return self._road.friction
+        return float(self.adaptation.estimate[MU])
 
     @property
     def clamped(self) -> int:
         """Number of the network's inputs that lay outside the trained range since the reset."""
         return self.tire.clamped
 
-    def learn(self, unmodelled: Array, offsets: Array, a: float, ay: float) -> None:
+    def learn(
+        self, unmodelled: Array, axle_forces: Array, slips: Array, a: float, ay: float
+    ) -> None:
         """Told by the controller what the tires mispredicted, and what they did.
 
         Args:
             unmodelled: Unexplained acceleration of (vy, r), shape (2,).
-            offsets: Offsets of the tangents front and rear [N], shape (2,).
+            axle_forces: Affine forces (Cf, F0f, Cr, F0r) that it was predicted with, shape (4,).
+            slips: Slip angles of the axles [rad], shape (2,).
             a: Drive or brake acceleration [m/s2].
             ay: Lateral acceleration [m/s2].
         """
-        self._road.update(unmodelled, offsets, a, ay)
+        self.adaptation.update(unmodelled, axle_forces, slips, a, ay)
 
     def horizon(self, state: State, prediction: Array, tires: Array) -> None:
         """See `StiffnessModel.horizon`."""
-        self.tire.friction = self._road.friction
+        learned = self.adaptation.estimate
+        self.tire.friction = float(learned[MU])
+        self.tire.scales = float(learned[CF]), float(learned[CR])
         self.tire.horizon(state, prediction, tires)
 
 

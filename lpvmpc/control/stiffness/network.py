@@ -168,13 +168,17 @@ def longitudinal(a, vx, delta, ay, car, m_eff, brake_front, inertia):
 
 
 @njit(cache=True)
-def along(x, Ts, friction, constants, m_eff, brake_front, inertia, norm, net, z, tires):
+def along(
+    x, Ts, friction, scale_f, scale_r, constants, m_eff, brake_front, inertia, norm, net, z, tires
+):
     """Affine axle forces in the middle of each interval of a prediction, in place.
 
     Args:
         x: Prediction (vx, vy, r, ey, epsi, delta, a, alpha_f, alpha_r, phi, p), shape (N + 1, 11).
         Ts: Period [s].
         friction: Scale of the road's peak friction.
+        scale_f: Scale of the front axle's stiffness: its force is that of so many times the slip.
+        scale_r: The same of the rear axle.
         constants: `Bicycle` as an array, shape (17,).
         m_eff: See `longitudinal`, also for brake_front, inertia.
         brake_front: As above.
@@ -206,11 +210,11 @@ def along(x, Ts, friction, constants, m_eff, brake_front, inertia, norm, net, z,
             sway = 0.5 * car.h * (x[k, P] + x[k + 1, P]) if car.K_phi > 0.0 else 0.0
             alpha_f = delta - math.atan2(vy + sway + car.lf * r, vx)
             alpha_r = -math.atan2(vy + sway - car.lr * r, vx)
-        Fy, C, n = axle_force(0, alpha_f, Fxf, ax, roll, friction, norm, net, z)
-        tires[k, 0], tires[k, 1] = C, Fy - C * alpha_f
+        Fy, C, n = axle_force(0, scale_f * alpha_f, Fxf, ax, roll, friction, norm, net, z)
+        tires[k, 0], tires[k, 1] = scale_f * C, Fy - scale_f * C * alpha_f
         clamped += n
-        Fy, C, n = axle_force(1, alpha_r, Fxr, ax, roll, friction, norm, net, z)
-        tires[k, 2], tires[k, 3] = C, Fy - C * alpha_r
+        Fy, C, n = axle_force(1, scale_r * alpha_r, Fxr, ax, roll, friction, norm, net, z)
+        tires[k, 2], tires[k, 3] = scale_r * C, Fy - scale_r * C * alpha_r
         clamped += n
     return clamped
 
@@ -275,6 +279,8 @@ class NetworkTire:
         self.norm = normalisation(car)
         self.friction = 1.0
         """Scale of the road's peak friction that is assumed."""
+        self.scales = (1.0, 1.0)
+        """Scales of the axles' stiffness that are assumed, front and rear."""
         self._constants = np.array(bicycle.Bicycle.of(car))
         self.Ts = Ts
         self._spin = (car.m_eff, car.brake_front, 2.0 * car.J_w / car.R_w**2)
@@ -285,13 +291,13 @@ class NetworkTire:
         """Forget the run so far."""
         self.clamped = 0
         """Number of inputs that lay outside the trained range since the last reset."""
-        self.friction = 1.0
+        self.friction, self.scales = 1.0, (1.0, 1.0)
 
     def horizon(self, state: State, prediction: Array, tires: Array) -> None:
         """See `stiffness.StiffnessModel.horizon`."""
         self.clamped += along(
-            prediction, self.Ts, self.friction, self._constants, *self._spin, self.norm, self.net,
-            self._z, tires,
+            prediction, self.Ts, self.friction, *self.scales, self._constants, *self._spin,
+            self.norm, self.net, self._z, tires,
         )  # fmt: skip
 
     def axle(
