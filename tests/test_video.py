@@ -145,5 +145,5 @@ def test_a_damaged_video_is_named(tmp_path):
 
 
 def test_a_folder_that_cannot_be_written_is_named(film, tmp_path):
-    with pytest.raises(OutputError, match="x.webp"):
+    with pytest.raises(OutputError, match="film.mp4"):
         encode.moving_picture(film, film / "x.webp")
