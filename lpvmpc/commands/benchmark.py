@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from lpvmpc.errors import LPVMPCError
 from lpvmpc.kit import cli
+from lpvmpc.kit.progress import Bar
 from lpvmpc.kit.report import write_report
 
 if TYPE_CHECKING:
@@ -65,8 +66,8 @@ def main(options: Options) -> int:
     tuning = ablation.SEARCH if not quick else ablation.roads(("tuning-a",), (0.76,))
     coarse, fine = (ablation.COARSE[1::2], ()) if quick else (ablation.COARSE, ablation.FINE)
     try:
-        with Progress() as progress:
-            drive = driver(jobs, options.cache, progress)
+        with Bar(counted=True, unit="runs") as bar:
+            drive = driver(jobs, options.cache, bar)
             searches = ablation.search(drive("best constant"), tuning, coarse, fine)
             best = {observer: found.best for observer, found in searches.items()}
             rows = ablation.compare(cases, best, drive("comparison"))
@@ -111,14 +112,14 @@ def results(cache: Path) -> list[Path]:
     return [file for file in cache.glob("*.json") if re.fullmatch(r"[0-9a-f]{32}", file.stem)]
 
 
-def driver(jobs: int, cache: Path, progress: Progress) -> Any:
+def driver(jobs: int, cache: Path, bar: Bar) -> Any:
     """Makes a function that drives runs under a title, as `bench.cases` wants it."""
     from lpvmpc.sim.batch import drive_all
 
     def under(title: str) -> Any:
         def drive(runs: Sequence[Run]) -> list[dict[str, Any]]:
-            progress.begin(title, len(runs))
-            return drive_all(runs, jobs=jobs, cache=cache, progress=progress)
+            bar.begin(title, len(runs))
+            return drive_all(runs, jobs=jobs, cache=cache, progress=lambda done, _: bar.at(done))
 
         return drive
 
@@ -147,43 +148,3 @@ def wrapped(sentence: str) -> str:
     kept = re.sub(r"(?<=\d) (?=%|mm)", "\N{NO-BREAK SPACE}", sentence)
     lines = textwrap.fill(kept, 80, break_on_hyphens=False)
     return lines.replace("\N{NO-BREAK SPACE}", " ")
-
-
-class Progress:
-    """Progress bar with runs per second, on a terminal."""
-
-    def __init__(self) -> None:
-        self.bar: Any = None
-        self.title, self.first = "", True
-
-    def __enter__(self) -> Progress:
-        if sys.stderr.isatty():
-            from rich.console import Console
-            from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
-            from rich.progress import Progress as Bar
-
-            self.bar = Bar(
-                "{task.description}", BarColumn(), TextColumn("{task.completed}/{task.total}"),
-                TextColumn("{task.fields[rate]} runs/s"), TimeRemainingColumn(),
-                console=Console(stderr=True), transient=True,
-            )
-            self.bar.start()
-        return self
-
-    def begin(self, title: str, runs: int) -> None:
-        """A new batch."""
-        if self.bar is not None:
-            for task in self.bar.tasks:
-                self.bar.remove_task(task.id)
-            self.task = self.bar.add_task(title, total=runs, rate="-")
-
-    def __call__(self, done: int, runs: int) -> None:
-        """Called with the number of runs that are done, and of all."""
-        if self.bar is not None:
-            speed = self.bar.tasks[0].speed
-            rate = "-" if speed is None else f"{speed:.2g}"
-            self.bar.update(self.task, completed=done, rate=rate)
-
-    def __exit__(self, *error: object) -> None:
-        if self.bar is not None:
-            self.bar.stop()

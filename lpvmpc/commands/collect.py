@@ -13,10 +13,11 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from lpvmpc.errors import OptionError
 from lpvmpc.kit import cli
+from lpvmpc.kit.progress import Bar
 
 if TYPE_CHECKING:
     from lpvmpc.learn.coverage import Coverage
@@ -57,9 +58,9 @@ def main(options: Options) -> int:
     jobs = options.jobs or cli.cores()
     start = time.perf_counter()
     try:
-        with Progress(options.samples) as progress:
+        with Bar("collecting", options.samples, counted=True, unit="samples") as bar:
             found = collect.collect(
-                plan, options.out, jobs=jobs, resume=options.resume, progress=progress
+                plan, options.out, jobs=jobs, resume=options.resume, progress=bar.at
             )
     except KeyboardInterrupt:
         print("Interrupted; --resume goes on from here.", file=sys.stderr)
@@ -85,39 +86,6 @@ def pair(name: str, values: tuple[float, ...]) -> tuple[float, float]:
     if len(values) not in (1, 2):
         raise OptionError(name, values, "one number, or the lowest and the highest")
     return values[0], values[-1]
-
-
-class Progress:
-    """Progress bar with samples per second, on a terminal."""
-
-    def __init__(self, samples: int):
-        self.samples = samples
-        self.bar: Any = None
-
-    def __enter__(self) -> Progress:
-        if sys.stderr.isatty():
-            from rich.console import Console
-            from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
-            from rich.progress import Progress as Bar
-
-            self.bar = Bar(
-                "{task.description}", BarColumn(), TextColumn("{task.completed}/{task.total}"),
-                TextColumn("{task.fields[rate]} samples/s"), TimeRemainingColumn(),
-                console=Console(stderr=True), transient=True,
-            )
-            self.bar.add_task("collecting", total=self.samples, rate="-")
-            self.bar.start()
-        return self
-
-    def __call__(self, rows: int) -> None:
-        """Called with the number of rows there are."""
-        if self.bar is not None:
-            speed = self.bar.tasks[0].speed
-            self.bar.update(0, completed=rows, rate="-" if speed is None else f"{speed:.0f}")
-
-    def __exit__(self, *error: object) -> None:
-        if self.bar is not None:
-            self.bar.stop()
 
 
 def print_table(covered: Coverage) -> None:

@@ -15,15 +15,16 @@ import textwrap
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from lpvmpc.control.registry import CONTROLLERS
 from lpvmpc.kit import cli
 from lpvmpc.kit.findings import promises_sentence
+from lpvmpc.kit.progress import Bar
 from lpvmpc.kit.report import write_report
 
 if TYPE_CHECKING:
-    from lpvmpc.paper.measurements import Evidence
+    from lpvmpc.paper.measurements import Evidence, Say
     from lpvmpc.paper.records import Tuning
 
 NAME = "paper"
@@ -62,7 +63,8 @@ def main(options: Options) -> int:
     from lpvmpc.paper import figures, measurements, report
 
     try:
-        with Progress() as say:
+        with Bar(counted=True) as bar:
+            say = teller(bar)
             networks = retrain(cache, jobs, options.quick, say) if options.retrain else None
             tunings = retune(cache, jobs, options.quick, say) if options.retune else None
             found = measurements.gather(
@@ -89,7 +91,7 @@ def main(options: Options) -> int:
     return cli.DONE
 
 
-def retune(cache: Path, jobs: int, quick: bool, say: Progress) -> dict[str, Tuning]:
+def retune(cache: Path, jobs: int, quick: bool, say: Say) -> dict[str, Tuning]:
     """Every controller's weights tuned anew; a quick look does a handful of evaluations."""
     from lpvmpc.paper import records, retrain
     from lpvmpc.tune import tuning
@@ -109,7 +111,7 @@ def retune(cache: Path, jobs: int, quick: bool, say: Progress) -> dict[str, Tuni
     return found
 
 
-def retrain(cache: Path, jobs: int, quick: bool, say: Progress) -> dict[str, Path]:
+def retrain(cache: Path, jobs: int, quick: bool, say: Say) -> dict[str, Path]:
     """Both networks trained anew; a quick look passes through the data a few times only."""
     from lpvmpc.paper import retrain
 
@@ -131,36 +133,12 @@ def summary(found: Evidence) -> str:
     )
 
 
-class Progress:
-    """Progress bar on a terminal; callable with what is done, how much, and of how much."""
+def teller(bar: Bar) -> Say:
+    """Tells a bar what is done, how much, and of how much."""
 
-    def __init__(self) -> None:
-        self.bar: Any = None
-        self.title = ""
+    def say(what: str, done: int, total: int) -> None:
+        if (what, total) != (bar.title, bar.total):
+            bar.begin(what, total)
+        bar.at(done)
 
-    def __enter__(self) -> Progress:
-        if sys.stderr.isatty():
-            from rich.console import Console
-            from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
-            from rich.progress import Progress as Bar
-
-            self.bar = Bar(
-                "{task.description}", BarColumn(), TextColumn("{task.completed}/{task.total}"),
-                TimeRemainingColumn(), console=Console(stderr=True), transient=True,
-            )
-            self.bar.start()
-        return self
-
-    def __call__(self, what: str, done: int, total: int) -> None:
-        """Called as the work goes on."""
-        if self.bar is None:
-            return
-        if what != self.title:
-            for task in self.bar.tasks:
-                self.bar.remove_task(task.id)
-            self.task, self.title = self.bar.add_task(what, total=total), what
-        self.bar.update(self.task, completed=done, total=total)
-
-    def __exit__(self, *error: object) -> None:
-        if self.bar is not None:
-            self.bar.stop()
+    return say

@@ -21,6 +21,7 @@ from lpvmpc.control.registry import CONTROLLERS, STIFFNESS_MODELS
 from lpvmpc.errors import LPVMPCError, OptionError, RenderError
 from lpvmpc.kit import cli
 from lpvmpc.kit.files import readable, replacing, write_json
+from lpvmpc.kit.progress import Bar
 from lpvmpc.kit.provenance import commit, machine
 from lpvmpc.road.names import SCENARIOS
 from lpvmpc.sim.world_names import WORLD_NAMES
@@ -134,7 +135,7 @@ def main(options: Options) -> int:
     if options.json is not None:
         cli.writable_folder(options.json.parent)
     viewer = open_viewer(plant, scenario.path) if options.view else None
-    with Progress(viewer) as progress:
+    with Watch(viewer) as watch:
         log = simulate(
             plant,
             controller,
@@ -147,7 +148,7 @@ def main(options: Options) -> int:
             delay=options.delay,
             latency=None if options.latency is None else options.latency / 1000.0,
             step_timeout=options.step_timeout or (USER_TIMEOUT if own else None),
-            progress=progress,
+            progress=watch,
             name=options.controller,
             options=scenario_options(options),
         )
@@ -227,35 +228,28 @@ def warn_of_another_car(controller: Any, plant: Plant) -> None:
         print(f"Warning: {warning.message}", file=sys.stderr)
 
 
-class Progress:
-    """Progress bar on a terminal and, where asked for, the live viewer."""
+class Watch:
+    """What goes on while the car drives: a bar on a terminal and, asked for, the live viewer."""
 
     def __init__(self, viewer: Viewer | None = None):
         self.viewer = viewer
-        self.bar: Any = None
+        self.bar = Bar("starting (the first run compiles)")
         self.calls = 0
 
-    def __enter__(self) -> Progress:
-        if sys.stderr.isatty():
-            from rich.console import Console
-            from rich.progress import Progress as Bar
-
-            self.bar = Bar(console=Console(stderr=True), transient=True)
-            self.bar.add_task("starting (the first run compiles)", total=1.0)
-            self.bar.start()
+    def __enter__(self) -> Watch:
+        self.bar.__enter__()
         return self
 
     def __call__(self, fraction: float) -> None:
         """Called at every control instant with the driven fraction of the path."""
         self.calls += 1
-        if self.bar is not None and self.calls % 30 == 0:
-            self.bar.update(0, description="driving", completed=fraction)
+        if self.calls % 30 == 0:
+            self.bar.at(fraction, "driving")
         if self.viewer is not None:
             self.viewer.show()
 
     def __exit__(self, *error: object) -> None:
-        if self.bar is not None:
-            self.bar.stop()
+        self.bar.__exit__(*error)
         if self.viewer is not None:
             self.viewer.close()
 

@@ -20,11 +20,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from lpvmpc.errors import LPVMPCError, OptionError
 from lpvmpc.kit import cli
+from lpvmpc.kit.progress import Bar
 
 if TYPE_CHECKING:
     from lpvmpc.learn.dataset import Dataset
     from lpvmpc.learn.train import Trained
-
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,9 +79,10 @@ def main(options: Options) -> int:
     checkpoint = out.with_name(out.name + ".checkpoint")
     start = time.perf_counter()
     try:
-        with Progress(preset.epochs) as progress:
+        with Bar("training", preset.epochs) as bar:
             trained = train.train(
-                data, job, car, checkpoint=checkpoint, resume=options.resume, progress=progress
+                data, job, car, checkpoint=checkpoint, resume=options.resume,
+                progress=lambda epoch, loss: bar.at(epoch, f"training, loss {loss:.3g}"),
             )
     except KeyboardInterrupt:
         print("Interrupted; --resume goes on from here.", file=sys.stderr)
@@ -189,30 +190,3 @@ def print_tables(rows: list[dict[str, Any]], slips: list[dict[str, Any]]) -> Non
                 cells.append(f"{100.0 * found[0][key]:.2f} %" if found else "-")
         table.add_row(f"{low:g}-{high:g}", *cells)
     console.print(table)
-
-
-class Progress:
-    """Progress bar on a terminal."""
-
-    def __init__(self, epochs: int):
-        self.epochs = epochs
-        self.bar: Any = None
-
-    def __enter__(self) -> Progress:
-        if sys.stderr.isatty():
-            from rich.console import Console
-            from rich.progress import Progress as Bar
-
-            self.bar = Bar(console=Console(stderr=True), transient=True)
-            self.bar.add_task("training", total=self.epochs)
-            self.bar.start()
-        return self
-
-    def __call__(self, epoch: int, loss: float) -> None:
-        """Called after each epoch with its number and the loss."""
-        if self.bar is not None:
-            self.bar.update(0, completed=epoch, description=f"training, loss {loss:.3g}")
-
-    def __exit__(self, *error: object) -> None:
-        if self.bar is not None:
-            self.bar.stop()

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import math
 import signal
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path as FilePath
@@ -19,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from lpvmpc.errors import OptionError, RenderError
+from lpvmpc.kit.progress import Bar
 from lpvmpc.picture.video.encode import Encoder
 from lpvmpc.picture.video.hud import Hud
 from lpvmpc.picture.video.stage import Stage
@@ -201,14 +201,10 @@ def interrupts() -> Iterator[Callable[[], bool]]:
 
 def counted(count: int, progress: Callable[[float], None] | None) -> Iterator[int]:
     """0, 1, ..., count - 1, telling the progress."""
-    if progress is not None or not sys.stderr.isatty():
+    with Bar("filming", count) if progress is None else contextlib.nullcontext() as bar:
         for k in range(count):
             yield k
             if progress is not None:
                 progress((k + 1) / count)
-        return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        yield from bar.track(range(count), description="filming")
+            elif bar is not None:
+                bar.at(k + 1)
