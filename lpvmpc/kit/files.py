@@ -19,6 +19,26 @@ if TYPE_CHECKING:
 
 
 @contextmanager
+def writing(place: str | os.PathLike[str], *, into: bool = False) -> Iterator[None]:
+    """Say in one sentence what cannot be written.
+
+    Args:
+        place: What is written, for the sentence.
+        into: Whether it is a folder that is written into.
+
+    Raises:
+        OutputError: In place of an OSError of the body.
+    """
+    try:
+        yield
+    except LPVMPCError:  # some are OSErrors too, and say what they mean
+        raise
+    except OSError as error:
+        what = f"{'into ' if into else ''}{os.fspath(place)!r}"
+        raise OutputError(f"Cannot write {what}: {error.strerror or error}.") from error
+
+
+@contextmanager
 def whole(file: str | os.PathLike[str]) -> Iterator[Path]:
     """Where to write a file that shall appear under its name only when it is whole.
 
@@ -38,12 +58,9 @@ def whole(file: str | os.PathLike[str]) -> Iterator[Path]:
     # the process in the name: one that was told to stop may still be writing the same file
     part = path.with_name(f"{path.name}.{os.getpid()}.part")
     try:
-        yield part
-        os.replace(part, path)
-    except LPVMPCError:
-        raise
-    except OSError as error:
-        raise OutputError(f"Cannot write {str(path)!r}: {error.strerror or error}.") from error
+        with writing(path):
+            yield part
+            os.replace(part, path)
     finally:
         with suppress(OSError):
             part.unlink(missing_ok=True)
@@ -57,13 +74,9 @@ def into(folder: str | os.PathLike[str]) -> Iterator[Path]:
         OutputError: It cannot be made, or an OSError of the body.
     """
     path = Path(folder)
-    try:
+    with writing(path, into=True):
         path.mkdir(parents=True, exist_ok=True)
         yield path
-    except LPVMPCError:
-        raise
-    except OSError as error:
-        raise OutputError(f"Cannot write into {str(path)!r}: {error.strerror or error}.") from error
 
 
 @contextmanager
@@ -87,21 +100,18 @@ def replacing(folder: str | os.PathLike[str], names: Sequence[str]) -> Iterator[
     path = Path(folder)
     part = path / f".new.{os.getpid()}.part"
     try:
-        part.mkdir()
-        yield part
-        new = [file for name in reversed(names) for file in sorted(part.glob(name))]
-        with ctrl_c_waits():
-            for name in names:
-                for file in path.glob(name):
-                    file.unlink()
-            for file in new:
-                target = path / file.relative_to(part)
-                target.parent.mkdir(exist_ok=True)
-                os.replace(file, target)
-    except LPVMPCError:
-        raise
-    except OSError as error:
-        raise OutputError(f"Cannot write into {str(path)!r}: {error.strerror or error}.") from error
+        with writing(path, into=True):
+            part.mkdir()
+            yield part
+            new = [file for name in reversed(names) for file in sorted(part.glob(name))]
+            with ctrl_c_waits():
+                for name in names:
+                    for file in path.glob(name):
+                        file.unlink()
+                for file in new:
+                    target = path / file.relative_to(part)
+                    target.parent.mkdir(exist_ok=True)
+                    os.replace(file, target)
     finally:
         shutil.rmtree(part, ignore_errors=True)
 

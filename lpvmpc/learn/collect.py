@@ -12,8 +12,7 @@ import copy
 import json
 import math
 import shutil
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
@@ -22,8 +21,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from lpvmpc.errors import DataError, LPVMPCError, OptionError, OutputError
-from lpvmpc.kit.files import whole, write_json
+from lpvmpc.errors import DataError, LPVMPCError, OptionError
+from lpvmpc.kit.files import whole, write_json, writing
 from lpvmpc.kit.provenance import model_sha256, versions
 from lpvmpc.kit.workers import workers
 from lpvmpc.learn import dataset, manoeuvres
@@ -129,7 +128,7 @@ def collect(
         raise OptionError("jobs", jobs, "a whole number from 1 to 1024")
     facts = json.loads(json.dumps(plan.facts(compile_model(visual=False))))
     folder = out.with_name(out.name + ".parts")
-    with _writing(out):
+    with writing(out):
         if not resume:
             shutil.rmtree(folder, ignore_errors=True)
         elif out.is_file() and not folder.is_dir():
@@ -146,21 +145,10 @@ def collect(
             done += plan.rows_of(shard)
             if progress is not None:
                 progress(done)
-    with _writing(out):
+    with writing(out):
         merge(plan, folder, out, facts)
         shutil.rmtree(folder)
     return found
-
-
-@contextmanager
-def _writing(out: Path) -> Iterator[None]:
-    """Turn a failure to write into one sentence."""
-    try:
-        yield
-    except OSError as error:
-        if isinstance(error, LPVMPCError):
-            raise
-        raise OutputError(f"Cannot write {str(out)!r}: {error.strerror or error}.") from error
 
 
 def _prepare(folder: Path, facts: dict[str, Any]) -> None:

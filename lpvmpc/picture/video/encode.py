@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lpvmpc.errors import DataError, OptionError, OutputError, RenderError
-from lpvmpc.kit.files import into, whole
+from lpvmpc.kit.files import into, whole, writing
 
 if TYPE_CHECKING:
     import av.container
@@ -45,13 +45,10 @@ class Encoder:
         import av
 
         av.logging.set_level(av.logging.ERROR)
-        try:
+        with writing(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self.container: av.container.OutputContainer = av.open(
                 str(self.part), "w", format="mp4", options={"movflags": "+faststart"})
-        except OSError as error:
-            raise OutputError(
-                f"Cannot write {str(self.path)!r}: {error.strerror or error}.") from error
         self.stream = _stream(self.container, self.fps)
         self.stream.width, self.stream.height = self.size
         self.stream.pix_fmt = "yuv420p"
