@@ -80,7 +80,7 @@ def cores() -> int:
 def check_opengl() -> None:
     """Ignore a MUJOCO_GL whose library is not there, and say so, before MuJoCo is imported.
 
-    The import would fail on it with a riddle, also where nothing is to be drawn.
+    The import would fail with an obscure error, even where nothing is drawn.
     """
     backend = os.environ.get("MUJOCO_GL", "").lower().strip()
     library = {"egl": "EGL", "osmesa": "OSMesa"}.get(backend)

@@ -40,7 +40,7 @@ def writing(place: str | os.PathLike[str], *, into: bool = False) -> Iterator[No
 
 @contextmanager
 def whole(file: str | os.PathLike[str]) -> Iterator[Path]:
-    """Where to write a file that shall appear under its name only when it is whole.
+    """Where to write a file that appears under its name only when it is whole.
 
         with whole("trace.parquet") as part:
             part.write_bytes(...)
@@ -81,7 +81,7 @@ def into(folder: str | os.PathLike[str]) -> Iterator[Path]:
 
 @contextmanager
 def replacing(folder: str | os.PathLike[str], names: Sequence[str]) -> Iterator[Path]:
-    """A folder to write results into that shall replace the earlier ones together.
+    """A folder for results that replace the earlier ones all at once.
 
     The earlier ones stay until the body is through; if it raises, they stay for good. Ctrl-C waits
     while they are exchanged.
@@ -117,7 +117,7 @@ def replacing(folder: str | os.PathLike[str], names: Sequence[str]) -> Iterator[
 
 
 def readable(name: str | os.PathLike[str]) -> str:
-    """The name of a file as text: bytes that are none become the replacement character."""
+    """The name of a file as text: bytes that are not become the replacement character."""
     return os.fsencode(name).decode("utf-8", "replace")
 
 
@@ -142,7 +142,7 @@ def write_json(file: str | os.PathLike[str], value: object) -> None:
 
 
 def write_picture(file: str | os.PathLike[str], figure: Figure, dpi: int) -> None:
-    """Write a figure as PNG, whole or not at all, without the version of what drew it.
+    """Write a figure as PNG, whole or not at all, without the version of the library in it.
 
     Raises:
         OutputError: The file cannot be written.
@@ -162,7 +162,7 @@ def write_table(
     Args:
         file: The file.
         columns: Arrays of shape (n,) by name; the names carry the units.
-        facts: Metadata: values that JSON has, by name.
+        facts: Metadata by name: values that JSON can hold.
 
     Raises:
         OutputError: The file cannot be written.

@@ -37,7 +37,7 @@ class Limit:
 
     @property
     def bound(self) -> float:
-        """The end of a limit that has but one."""
+        """The only end of a one-sided limit."""
         return self.low if self.is_lower else self.high
 
     @classmethod

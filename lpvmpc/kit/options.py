@@ -8,7 +8,7 @@
 gives `--laps INT`. Fields may be numbers, words, paths, words of a `Literal`, each of these or
 None, tuples of them, and flags: `bool`, False unless given. Every field has a default.
 
-It stands on argparse, but for its complaints: what is wrong is known here, and said in a sentence.
+argparse does the work, but not its messages: what is wrong is known here, and said in a sentence.
 """
 
 from __future__ import annotations
@@ -49,9 +49,9 @@ class Option:
     help: str | None = None
     """The help, where it is made of other names and cannot be a string below the field."""
     metavar: str | None = None
-    """What the help calls a value; a word for each of a tuple of fixed length."""
+    """What the help calls a value; one word per entry for a tuple of fixed length."""
     positional: bool = False
-    """Whether its values come without a name in front; for one tuple of an `Options`."""
+    """Whether its values come without an option's name in front; at most one tuple may."""
 
 
 def parse(options: type[OptionsT], arguments: Sequence[str] | None = None) -> OptionsT:
@@ -98,7 +98,7 @@ def _wrong(what: str) -> LPVMPCError:
 
 
 def _plain(words: Sequence[str]) -> list[str]:
-    """The words, with - for _ in names, and negative numbers that argparse would not take so."""
+    """The words, with - for _ in names; negative numbers joined to the option before them."""
     plain: list[str] = []
     for word in map(str, words):
         name, equals, value = word.partition("=")
@@ -155,7 +155,7 @@ def _flags(hints: dict[str, Any]) -> list[str]:
 
 
 def _reader(flag: str, kind: Any) -> tuple[Callable[[str], Any], str]:
-    """What makes a value of a word, or says what is wrong with it; and how the help calls it."""
+    """What turns a word into a value, or says what is wrong; and what the help calls it."""
     if get_origin(kind) is Literal:
         choices = get_args(kind)
         metavar, named = f"{{{','.join(choices)}}}", f"one of {', '.join(sorted(choices))}"

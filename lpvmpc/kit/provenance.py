@@ -62,8 +62,8 @@ def machine() -> str:
 def commit(folder: Path = Path(__file__).parent) -> str | None:
     """Commit of the working tree this package lies in; None outside one or without git.
 
-    It ends in `-dirty` where a tracked file differs, but for the results: one script's are no
-    change of what the next one measures.
+    It ends in `-dirty` where a tracked file other than the results differs: the results of one
+    script do not change what the next one measures.
     """
     name = _git(folder, "describe", "--always", "--abbrev=12")
     if not name:

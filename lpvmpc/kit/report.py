@@ -88,5 +88,5 @@ def record(**more: Any) -> dict[str, Any]:
 
 
 def finite(value: Any) -> Any:
-    """A value that JSON has: None for a number that is not finite."""
+    """A value that JSON can hold: None for a number that is not finite."""
     return None if isinstance(value, float) and not math.isfinite(value) else value

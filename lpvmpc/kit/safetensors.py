@@ -1,7 +1,7 @@
 """Named arrays and texts in a safetensors file: nothing in it that could be executed.
 
-The package `safetensors` does the work; what is here makes the same content give the same bytes,
-and one sentence of what is wrong with a file.
+The package `safetensors` does the work; here the same content is made to give the same bytes,
+and what is wrong with a file is said in one sentence.
 """
 
 from __future__ import annotations
@@ -52,12 +52,12 @@ def read(file: str | os.PathLike[str]) -> tuple[dict[str, npt.NDArray[Any]], dic
         raise DataError(f"Cannot read {str(path)!r}: {error.strerror or error}.") from error
     try:
         return dict(sorted(load(raw).items())), _header(raw)[0].get("__metadata__", {})
-    except (SafetensorError, ValueError, KeyError) as error:  # KeyError: a type NumPy has not
+    except (SafetensorError, ValueError, KeyError) as error:  # KeyError: a type that NumPy lacks
         why = " ".join(str(error).split())
         raise DataError(f"{str(path)!r} is damaged or no safetensors file: {why}.") from error
 
 
 def _header(raw: bytes) -> tuple[dict[str, Any], bytes]:
-    """Header and data of a file, which begins with eight bytes that tell the header's length."""
+    """Header and data of a file, which begins with eight bytes that give the header's length."""
     begin = 8 + int.from_bytes(raw[:8], "little")
     return json.loads(raw[8:begin]), raw[begin:]

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 @contextmanager
 def ctrl_c_waits() -> Iterator[None]:
     """Put Ctrl-C off until the body is through."""
-    if not _main_thread():  # another one never gets it
+    if not _main_thread():  # no other thread ever gets it
         yield
         return
     pressed = []

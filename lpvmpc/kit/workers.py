@@ -1,8 +1,8 @@
 """Processes that work for this one: on this machine, or on a Ray cluster.
 
-What a caller may rely on, wherever the work is done: answers are there one by one as they come, or
-all in their order; no more is held in memory than is being worked on; Ctrl-C is this process's
-alone to act on, and then ends what the workers do; a worker that dies is one sentence.
+What a caller may rely on, wherever the work is done: answers come one by one as they are ready, or
+all in their order; no more is held in memory than is being worked on; only this process acts
+on Ctrl-C, which then ends what the workers do; a worker that dies is told in one sentence.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ R = TypeVar("R")
 
 
 class Pool:
-    """Somebody who works; this one is the calling process itself."""
+    """What does the work; this one is the calling process itself."""
 
     def each(self, function: Callable[[T], R], things: Iterable[T]) -> Iterator[R]:
         """Answers for many things, each as soon as it is there, in any order.
@@ -66,9 +66,9 @@ class _Processes(Pool):
         return iter(self.answers)
 
     def stop(self) -> None:
-        """End what the workers are still doing: nobody waits for it, after Ctrl-C perhaps."""
+        """End what the workers are still doing: nobody waits for it, perhaps after Ctrl-C."""
         if self.answers is not None:
-            with warnings.catch_warnings():  # that work is thrown away is what is meant
+            with warnings.catch_warnings():  # throwing work away is intended
                 warnings.filterwarnings("ignore", ".* tasks .*", UserWarning, "joblib")
                 self.answers.close()
 
@@ -135,7 +135,7 @@ def workers(
 
 
 def check(jobs: int, backend: str = "local", address: str | None = None) -> None:
-    """Refuse workers that cannot be had.
+    """Refuse workers that cannot be started.
 
     Raises:
         OptionError: As `workers`.

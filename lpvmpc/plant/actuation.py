@@ -40,7 +40,7 @@ class Actuation:
         self._steer = 0.0
 
     def start(self, delta: float, ax: float) -> Command:
-        """Forget what was commanded: servo and drive hold these two; returns their command."""
+        """Forget past commands: servo and drive hold these values; returns the command for them."""
         self._queue.clear()
         self._now, self._steer = (delta, ax), delta
         gain = self.brake if ax < 0.0 else self.drive

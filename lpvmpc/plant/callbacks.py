@@ -82,7 +82,7 @@ def _equal(text, name):
 
 @njit(cache=True)
 def _named_law(m):
-    """Number of the tire law that the model names, that of the first without a name, -1 of none."""
+    """Number of the tire law that the model names: the first where none is, -1 where unknown."""
     for i in range(longs(m + _M_NTEXT)[0]):
         name = chars(longs(m + _M_NAMES)[0] + ints(longs(m + _M_NAME_TEXT)[0])[i])
         if _equal(name, _TIRE_LAW):
@@ -173,7 +173,7 @@ def _powertrain(p, act, qvel, mass, spin_inertia, out):
 
 @njit(cache=True)
 def _damp(rubber, Fx, Fy, Fz, friction, damping, Vsx, Vsy):
-    """Damp the tire, a spring near standstill, without leaving the friction ellipse."""
+    """Damp the tire, which is a spring near standstill, within the friction ellipse."""
     Fx -= damping * Vsx
     Fy -= damping * Vsy
     mux, muy = tire.peak_friction(rubber, Fz)
@@ -187,7 +187,7 @@ def _tire(p, rubber, wheel, Fz, Vx, Vy, spin, act, dt, out):
     """Relaxation and forces of one tire: Fx, Fy [N], Mz [N m].
 
     Near standstill the deflection is capped, so that a wheel that was locked does not throw the car
-    back, and the then elastic tire is damped.
+    back, and the tire, elastic by then, is damped.
     """
     Vsx = Vx - p[WHEEL] * spin
     speed = abs(Vx)
@@ -369,7 +369,7 @@ def _mjcb_act_dyn(m, d, actuator):
         return 0.0
     out, act_dot = field(d, _D_USERDATA), field(d, _D_ACT_DOT)
     first = ints(longs(m + _M_ACTADR)[0])[actuator]
-    if first == 2:  # for more than one state MuJoCo wants them written
+    if first == 2:  # where there are several states, MuJoCo wants them written
         for i in range(2, NA):
             act_dot[i] = out[ACT_DOT + i]
     return out[ACT_DOT + first]

@@ -1,7 +1,7 @@
 """How the real car differs from the one that its controller was told.
 
 `deviated` changes a copy of the compiled model: masses, tires, servo, drive, air. What lies between
-a command and the servo or the drive (ratio, offset, play, brake gain) is no number of the model; it
+a command and the servo or the drive (ratio, offset, play, brake gain) is not in the model; it
 is in `plant.actuation`. `Plant.deviations` sets both.
 """
 

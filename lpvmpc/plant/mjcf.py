@@ -87,7 +87,7 @@ def compile_model(path: str | FilePath | None = None, *, visual: bool = True) ->
 
     Args:
         path: file (default: the packaged models/vehicle.xml).
-        visual: keep what is only drawn; without it a step is a little faster, and equal.
+        visual: keep what is only drawn; without it a step is a little faster and the same.
 
     Raises:
         ModelError: the file cannot be read or compiled, or is not a car of this package.
@@ -302,7 +302,7 @@ def _roll(
 def car_sha256(model: mujoco.MjModel) -> str:
     """Hash of the physical numbers of a car: masses, springs, dampers, tires, drive, air.
 
-    To nine digits, so that neither comments and shapes in the MJCF nor another MuJoCo change it.
+    To nine digits, so that neither comments or shapes in the MJCF nor another MuJoCo changes it.
     """
     digest = hashlib.sha256()
     law = tire_law(model)

@@ -157,7 +157,7 @@ class Plant:
         return float(self.model.opt.timestep)
 
     def _connect(self) -> None:
-        """Put between command and car what the car needs there; nothing where it is nominal."""
+        """Put between command and car what belongs there; nothing where the car is nominal."""
         if self._deviations == NOMINAL and not self._latency:
             self._actuation = None
             return
@@ -166,12 +166,12 @@ class Plant:
         self._actuation = Actuation(self._deviations, gain, self._latency)
 
     def tilt(self, grade: float = 0.0, bank: float = 0.0, psi: float = 0.0) -> None:
-        """Tilt the road under the car: gravity gets a part along it.
+        """Tilt the road under the car: part of gravity then acts along it.
 
         g (-grade, bank, -1) / sqrt(1 + grade^2 + bank^2) in the road's axes
 
-        The road stays the plane z = 0, and gravity turns instead. That neglects that a change of
-        slope bends the road: no load of crests and dips, no turn of the car with its plane.
+        The road stays the plane z = 0, and gravity turns instead. Neglected: where the slope
+        changes, crests and dips change the loads, and the car turns with the plane of the road.
 
         Args:
             grade: Rise per length in the direction psi [-].

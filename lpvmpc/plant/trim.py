@@ -53,7 +53,7 @@ def settle(
         kappa: curvature of the path of the centre of mass [1/m].
         wind: velocity of the air [m/s] along and to the left of the car's axis.
         tilt: grade and bank of the road in the same direction; gravity turns with the car.
-        course: whether `wind` is rather along and to the left of the car's course.
+        course: whether `wind` is along and to the left of the car's course instead.
 
     Raises:
         OptionError: the car cannot hold such a state.

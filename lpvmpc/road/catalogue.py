@@ -36,7 +36,7 @@ class Road:
     wind: Wind = field(default_factory=Wind)
     """Side wind."""
     warnings: tuple[str, ...] = ()
-    """What a user should know of how it was made."""
+    """What a user should know about how it was made."""
     v_max: float = V_MAX
     """Top speed [m/s]."""
     ay_max: float | None = AY_MAX
@@ -95,7 +95,7 @@ def _own(name: str, **kwargs: Any) -> Callable[[], Road]:
 def double_lane_change() -> Road:
     """ISO 3888-1: lanes of 15, 25 and 30 m, gaps of 30 and 25 m, offset 3.5 m, at constant speed.
 
-    The lanes' widths follow from the car's and are larger by 0.4 m and more, so each change may
+    The lanes' widths follow from the car's and are larger by 0.4 m or more, so each change may
     begin and end 3 m inside a lane, where it is 3 cm off the lane's middle.
     """
     start, inside, offset = 30.0, 3.0, 3.5

@@ -4,7 +4,7 @@ Raw centre lines (from maps, images, GPS) are noisy by decimetres; their curvatu
 noise divided by the square of the spacing, is useless as it is. They are fitted by the curve that
 balances the distance to the points against the change of curvature along it. A single point far
 beside the line through its neighbours is a bad measurement, which no smoothing should spread: it is
-put onto that line before (`bad_points`).
+put onto that line first (`bad_points`).
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def fit(
 
     Raises:
         PathError: Too few, repeated or non-finite points, or ends that do not meet.
-        OptionError: A smoothing that is no length.
+        OptionError: A smoothing that is not a length.
     """
     given = smoothing is not None
     if smoothing is None:

@@ -25,7 +25,7 @@ GRID = 0.2
 """Default spacing of the fine grid [m]; a whole number of cells always fits the length."""
 
 MAX_POINTS = 2_000_000
-"""More grid points than this is a mistake in units (400 km at the default spacing)."""
+"""More grid points than this are a mistake in units (400 km at the default spacing)."""
 
 WIDTH = 3.5
 """Half width of a road that states none [m]."""

@@ -189,7 +189,7 @@ def load_scenario(
 def _check_options(
     v_max: float | None, ay_max: float | None, grip: float | None, wind: float, friction: float
 ) -> None:
-    """Refuse options that no run can mean."""
+    """Refuse options that make no sense in any run."""
     for name, value, low, high, unit in (
         ("v_max", v_max, 1.0, 60.0, " m/s"),
         ("ay_max", ay_max, 0.1, 15.0, " m/s2"),
@@ -271,7 +271,7 @@ def _from_csv(
 def _check_start(
     path: Path, speed: SpeedProfile, params: VehicleParams, friction: float, given: bool, name: str
 ) -> None:
-    """Refuse a first speed at which the car cannot be: it would have no state to start from."""
+    """Refuse a first speed that the car cannot hold: it would have no state to start from."""
     fastest = start_speed_limit(float(path.kappa[0]), params, friction)
     if speed.start > fastest:
         what = "vx_mps of row 1" if given else "the speed at the start"

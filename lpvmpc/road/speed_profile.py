@@ -140,7 +140,7 @@ class SpeedProfile:
 def plan(
     path: Path, params: VehicleParams, *, ay_max: float, v_max: float, margin: float = DRIVE_MARGIN
 ) -> SpeedProfile:
-    """Fast speed along a path that the car can follow.
+    """A fast reference speed along a path, which the car can follow.
 
     The limits, with ay = vx^2 kappa and a the acceleration along the path:
       vx <= v_max, |ay| <= ay_max                                 everywhere

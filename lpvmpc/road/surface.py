@@ -23,7 +23,7 @@ class Slope:
     """Distance of the knots [m]."""
 
     def __post_init__(self) -> None:
-        """Raise OptionError for what is no slope."""
+        """Raise OptionError for knots that are no slope."""
         if not self.values or not all(abs(value) <= 0.5 for value in self.values):
             raise OptionError("slope", self.values, "numbers from -0.5 to 0.5")
         if not (math.isfinite(self.spacing) and self.spacing > 0.0):
@@ -54,9 +54,9 @@ class Surface:
     friction: float = 1.0
     """Factor on the friction everywhere."""
     friction_left: float = 1.0
-    """Factor under the left wheels besides (split friction)."""
+    """A further factor under the left wheels (split friction)."""
     friction_right: float = 1.0
-    """Factor under the right wheels besides."""
+    """A further factor under the right wheels."""
     patches: tuple[tuple[float, float, float], ...] = ()
     """Stretches of other friction: where each begins and ends [m], and the factor there."""
     grade: Slope = field(default_factory=Slope)

@@ -21,7 +21,7 @@ ALIASES = {
     "w_tr_right": "w_tr_right_m",
     "w_tr_left": "w_tr_left_m",
 }
-"""Other names that are read. What is not named in either is left aside: the s_m, psi_rad,
+"""Other names that are read. What is named in neither is ignored: the s_m, psi_rad,
 kappa_radpm and ax_mps2 of a race line follow from its points and speeds."""
 SLOWEST = 0.1
 """Slowest reference speed between the ends [m/s]."""
@@ -52,7 +52,7 @@ def read_csv(file: str | FilePath) -> Track:
 
     A race line `s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2` is read as well. The header
     names the columns, in any order, with or without its #; a file without one may hold x and y
-    alone. Columns are parted by semicolons, tabs or commas. Widths may be missing.
+    alone. Columns are separated by semicolons, tabs or commas. Widths may be missing.
 
     Raises:
         PathError: With one sentence that names the file, the line and what is wrong.

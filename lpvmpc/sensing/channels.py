@@ -68,7 +68,7 @@ LARGEST = {
     "delta": 0.5,
     "wheel_speed": 100.0,
 }
-"""The channels, and an error of each that no sensor can have [m, rad, m/s, rad/s, m/s2]."""
+"""The channels, and for each an error larger than any sensor has [m, rad, m/s, rad/s, m/s2]."""
 LONGEST = 1.0
 """No sample is older or rarer than this [s]."""
 _ERRORS = ("std", "bias_std", "bias_range", "wander_std", "quantum")
@@ -218,7 +218,7 @@ PRODUCTION = Sensing(
     wheel_speed=Channel(quantum=0.1, scale_range=0.01),
     lane=True,
 )
-"""A series car: lane camera, and what the stability control has anyway.
+"""A production car: a lane camera, and what its stability control has anyway.
 
 Lane camera, 3 cm and 0.2 deg white, 5 cm and 0.3 deg wander over 10 s, 30 Hz, 60 to 100 ms old:
 estimated; 30 Hz is usual, the errors are of the size that papers on lane keeping assume, and makers

@@ -56,12 +56,12 @@ YAW_BIAS, YAW_WALK = 0.2 * DEG, 0.0005 * DEG
 ACC_BIAS, ACC_WALK = 0.05, 0.001
 """Bias of an acceleration [m/s2] and its change within a second."""
 TRUSTED = 4.0
-"""A mean innovation of that many standard deviations is still chance."""
+"""A mean innovation of up to this many standard deviations is still chance."""
 SLOPE_WALK = 0.1
 """What each further one adds to the walk of the accelerations' biases [m/s2]: gravity on a bank or
 a slope that changes while the car drives over it is no bias of a sensor, and much faster."""
 SLOPE_TIME = 20.0
-"""How long a road that was found uneven is taken for uneven [s]."""
+"""How long a road that was found uneven still counts as uneven [s]."""
 OFFSET, OFFSET_WALK = 0.5 * DEG, 0.01 * DEG
 """Offset of the steering [rad] and its change within a second."""
 SCALE_WALK = 1e-5
@@ -69,7 +69,7 @@ SCALE_WALK = 1e-5
 SLIP_STIFFNESS = 20.0
 """Longitudinal stiffness of a tire per load [-]; assumed, passenger tires have 15 to 30."""
 ALONG = 0.5
-"""A lane camera does not see how far along the lane it is: what is taken for known [m]."""
+"""A lane camera does not see how far along the lane it is: how well that counts as known [m]."""
 FRONT_AXLE = 0.1 * DEG
 """Error of the front axle's angle that is always there: gusts, toe, roll steer [rad]."""
 TIRE = 0.3
@@ -79,7 +79,7 @@ BENT = 0.04
 OFFSET_SPEED = 3.0
 """Below this speed nothing is learned of the steering [m/s]."""
 GIVE_UP = 10
-"""So many poses in a row with an innovation beyond `GATE` are a divergence."""
+"""This many poses in a row with an innovation beyond `GATE` count as divergence."""
 
 COUNT, SLOT, OFF, OFF_VAR, BAD, NIS, DOF, FAILED, ROUGH = range(9)
 """Columns of the memory: valid slots, newest slot, steering offset and its variance, bad poses in a
@@ -168,7 +168,7 @@ def advance(m, memory, xs, Ps, us, zs, c, car, start, means, h, gain, out):
 
 @njit(cache=True)
 def restart(m, memory, xs, Ps, c, car, start, last):
-    """Begin again from what was measured last, or where that says nothing from the last output."""
+    """Begin again from what was measured last or, where that says nothing, the last output."""
     new = int(memory[SLOT])
     x, P = xs[new], Ps[new]
     x[:] = 0.0
@@ -219,8 +219,8 @@ class EKF:
     """Estimator from position, heading, speeds, yaw rate, accelerations and steering to `State`.
 
     Attributes:
-        events: How often it diverged and was reset, or was given numbers that are none, in this
-            run. Either way the state that it returns is finite.
+        events: How often it diverged and was reset, or was given values that are no numbers, in
+            this run. Either way the state that it returns is finite.
         nis: Normalised innovation squared of the last update [-].
         nis_dof: Number of measurements in it; 0: none.
 

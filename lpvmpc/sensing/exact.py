@@ -11,7 +11,7 @@ from lpvmpc.interface import Command, Measurement, State
 
 
 class Exact:
-    """Passes the measurements on, with the least that makes a state of them.
+    """Passes the measurements on, adding only what is needed to make a state of them.
 
     A lateral speed that is not measured is that of a car whose rear wheels do not slip, vy = lr r.
     A longitudinal speed that is not measured is the rim speed of the rear wheels, which are not

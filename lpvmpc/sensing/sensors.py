@@ -148,7 +148,7 @@ class Sensors:
         return read
 
     def _held_signals(self, t: float) -> Array:
-        """All but the pose where rates, latencies and losses count: the last sample stands."""
+        """All signals but the pose, with rates, latencies and losses: the last sample stands."""
         due = np.where(self._rate > 0.0, np.floor(t * self._rate + self._phase), t / self.Ts)
         new = due > self._index
         self._index = due
@@ -183,7 +183,7 @@ class Sensors:
         if not here:
             return math.nan, np.full(N, np.nan)
         _, taken, reading = max(here, key=lambda frame: frame[1])
-        # what was taken before it and comes later is worth nothing any more
+        # a pose taken before it that arrives later is of no use
         later = [frame for frame in self._in_flight if frame[1] > taken]
         self._in_flight.clear()
         self._in_flight.extend(later)

@@ -84,7 +84,7 @@ class Run:
     """Seed of the generator given to the controller."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be hashed, and roads that cannot be."""
+        """Refuse what cannot be hashed, and impossible roads."""
         try:
             json.dumps([dict(self.scenario_options), dict(self.controller_options), self.world],
                        allow_nan=False)

@@ -30,7 +30,7 @@ MAX_LAPS = 100
 
 
 def check_start(scenario: Scenario, laps: int, start_offset: tuple[float, float]) -> None:
-    """Refuse laps that the road has not, and starts from which the car would be lost at once.
+    """Refuse laps that the road does not have, and starts from which the car would be lost at once.
 
     Raises:
         OptionError: What is wrong with which of them.

@@ -172,7 +172,7 @@ def simulate(
 def _changed(
     plant: Plant, latency: float, deviations: Deviations | None, level: bool
 ) -> Iterator[None]:
-    """A plant that is as before when it is over: car, latency, friction, level road."""
+    """Change a plant for a run; afterwards car, latency, friction and level are as before."""
     before = plant.latency, plant.deviations, plant.friction
     try:
         plant.latency = latency

@@ -118,7 +118,7 @@ def _users(
     offered: dict[str, Callable[[], Any]],
     methods: dict[str, str],
 ) -> Any:
-    """An object of a user's class, given of what is offered that which its constructor names."""
+    """An object of a user's class, given whatever its constructor names of what is offered."""
     Kind = kind.capitalize()
     module_name, _, class_name = name.partition(":")
     if os.getcwd() not in sys.path:  # a script has its own folder there, not the current one

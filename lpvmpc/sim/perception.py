@@ -1,6 +1,6 @@
 """From the true state to what the controller is given: sensors, estimator, and the road from there.
 
-Where the sensors are exact and no estimator is asked for, there is nothing of this, and the
+Where the sensors are exact and no estimator is asked for, none of this exists, and the
 controller gets the true state.
 """
 

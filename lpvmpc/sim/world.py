@@ -54,7 +54,7 @@ from lpvmpc.sim.world_names import WORLD_NAMES
 
 DEG = math.pi / 180.0
 KNOTS = 32
-"""Slopes drawn for a road; it repeats after that many half wavelengths."""
+"""Slopes drawn for a road; it repeats after this many half wavelengths."""
 STEERING_SENSORS = ("wheel", "servo")
 """Where the steering angle may be measured."""
 ROAD: dict[str, tuple[float, float, float]] = {
