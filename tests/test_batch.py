@@ -12,7 +12,7 @@ import pytest
 
 from lpvmpc.errors import LPVMPCError, OptionError
 from lpvmpc.sim import batch
-from lpvmpc.sim.batch import Run, drive_all
+from lpvmpc.sim.batch import KEPT, Run, drive_all
 from lpvmpc.sim.metrics import KEYS
 
 NUMBERS = [key for key in KEYS if key not in ("step_time_us", "wall_s", "realtime_factor")]
@@ -56,7 +56,7 @@ def test_one_process_and_two_give_the_same_numbers_in_order(road):
     assert alone[0]["duration_s"] < alone[1]["duration_s"]
     assert alone[1]["stiffness"] == "network"
     assert alone[2]["reason"].startswith("Unknown scenario 'nowhere'")
-    assert alone[2]["lateral_rmse_m"] is None and set(alone[2]) == set(KEYS)
+    assert alone[2]["lateral_rmse_m"] is None and set(alone[2]) == set(KEPT)
 
 
 def test_a_controller_that_raises_is_charged_and_named(road, user_module):

@@ -7,7 +7,7 @@ import pytest
 import lpvmpc
 from lpvmpc.interface import Command
 from lpvmpc.sim.loop import simulate
-from lpvmpc.sim.metrics import KEYS, largest, metrics, rms, step_times, wrap
+from lpvmpc.sim.metrics import KEYS, jerk_rms, largest, metrics, rms, step_times, wrap
 
 
 class Straight:
@@ -96,6 +96,14 @@ def test_angles_wrap_to_half_a_turn():
 
 def test_rms_and_largest_of_nothing_are_none():
     assert rms(np.zeros(0)) is None and largest(np.zeros(0)) is None
+
+
+def test_jerk_is_the_change_of_the_lateral_acceleration(log):
+    n, Ts = len(log), log.meta["Ts"]
+    log.columns["ay_mps2"] = np.where(np.arange(n) % 2, 0.3, -0.3)
+    assert jerk_rms(log) == pytest.approx(0.6 / Ts)
+    log.columns["ay_mps2"] = np.full(1, 0.3)
+    assert jerk_rms(log) is None
 
 
 def test_the_public_name_metrics_is_the_function():

@@ -1,13 +1,15 @@
 import json
+import tomllib
 
 import numpy as np
 import pytest
 
 from lpvmpc.control import weights_file
-from lpvmpc.tune import tuning
+from lpvmpc.tune import driving
 
 COMMAND = "tune"
-SMALL = ("--generations", 2, "--population", 4, "--jobs", 1, "--controller", "pure-pursuit")
+SMALL = ("--generations", 2, "--population", 4, "--jobs", 1, "--controller", "pure-pursuit",
+         "--worlds", "ideal")
 
 
 @pytest.fixture
@@ -19,28 +21,31 @@ def road(tmp_path):
 
 
 def test_a_tuning_leaves_weights_that_can_be_driven(run, road, tmp_path):
-    code, out, err = run(*SMALL, "--scenario", road, "--json", tmp_path / "copy.json")
+    own = ("--worlds", "ideal", "rtk", "--seeds", 2)
+    code, out, err = run(*SMALL, *own, "--scenario", road, "--json", tmp_path / "copy.json")
     assert (code, err) == (0, "")
     folder = tmp_path / "runs" / "tune-pure-pursuit"
     kept = {file.name for file in folder.iterdir()}
     assert kept == {"weights.toml", "tuning.md", "tuning.json", "history.csv", "convergence.png"}
     weights = weights_file.read_weights(folder / "weights.toml", "pure-pursuit")
     assert json.loads((tmp_path / "copy.json").read_text())["weights"] == weights
+    record = tomllib.loads((folder / "weights.toml").read_text())["record"]
+    assert record["worlds"] == ["ideal", "rtk"] and record["draws"] == [1000, 1001, 1002]
     table = out[: out.index("Saved")]
     assert "road" in out and max(map(len, table.splitlines())) <= 80
 
 
 def test_a_tuning_that_was_interrupted_goes_on(run, road, tmp_path, monkeypatch):
     assert run(*SMALL, "--scenario", road, "--out", "whole")[0] == 0
-    cost, calls = tuning.cost, []
+    cost, calls = driving.cost, []
 
-    def stop(log):
+    def stop(log, scale):
         calls.append(log)
         if len(calls) == 7:
             raise KeyboardInterrupt
-        return cost(log)
+        return cost(log, scale)
 
-    monkeypatch.setattr(tuning, "cost", stop)
+    monkeypatch.setattr(driving, "cost", stop)
     code, _, err = run(*SMALL, "--scenario", road, "--out", "two")
     assert (code, err) == (130, "Interrupted; --resume goes on from here.\n")
     assert run(*SMALL, "--scenario", road, "--out", "two", "--resume")[0] == 0
@@ -49,13 +54,13 @@ def test_a_tuning_that_was_interrupted_goes_on(run, road, tmp_path, monkeypatch)
 
 
 def test_an_individual_that_fails_is_told(run, road, monkeypatch):
-    cost, calls = tuning.cost, []
+    cost, calls = driving.cost, []
 
-    def fail_once(log):
+    def fail_once(log, scale):
         calls.append(log)
-        return np.nan if len(calls) == 2 else cost(log)
+        return np.nan if len(calls) == 2 else cost(log, scale)
 
-    monkeypatch.setattr(tuning, "cost", fail_once)
+    monkeypatch.setattr(driving, "cost", fail_once)
     code, _, err = run(*SMALL, "--scenario", road)
     assert code == 0
     assert err == "Warning: generation 0, individual 1 is charged: the cost is nan\n"
@@ -67,6 +72,8 @@ def test_an_individual_that_fails_is_told(run, road, monkeypatch):
         (["--controller", "mpc"], "Unknown controller 'mpc'; the choices are"),
         (["--controller", "mine:Mine"], "Unknown controller 'mine:Mine'"),
         (["--scenario", "papers"], "Unknown scenario 'papers'"),
+        (["--worlds", "dry"], "Unknown world 'dry'"),
+        (["--seeds", "0"], "--seeds is 0, but must be from 1"),
         (["--generations", "0"], "--generations is 0, but must be from 1"),
         (["--population", "3"], "population is 3, but must be a whole number from 4"),
         (["--jobs", "0"], "--jobs is 0, but must be from 1"),

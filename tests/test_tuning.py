@@ -1,5 +1,7 @@
 import json
 import math
+import tomllib
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,21 +13,25 @@ from lpvmpc.control.registry import CONTROLLERS
 from lpvmpc.errors import DataError, LPVMPCError, OptionError, UnknownNameError
 from lpvmpc.kit.workers import workers
 from lpvmpc.sim import batch
-from lpvmpc.tune import tuning, tuning_report
-from lpvmpc.tune.tuning import NERVOUS, Space, Task, stages, tune
+from lpvmpc.sim.world import WORLDS
+from lpvmpc.tune import driving, genetic, pso, tuning, tuning_report
+from lpvmpc.tune.tuning import Space, Task, stages, tune
 
-TASK = Task(controller="stanley", generations=4, population=6, scenarios=("tuning-b",))
+TASK = Task(
+    controller="stanley", generations=4, population=6, scenarios=("tuning-b",), worlds=("ideal",)
+)
 
 
-def fake_log(vx=10.0, steer=0.0, reached=100.0, completed=True):
+def fake_log(vx=10.0, vy=0.0, epsi=0.003, steer=0.0, reached=100.0, completed=True):
     """A straight run of 50 periods at constant errors, its steering alternating by +-`steer`."""
     n = 50
-    columns = {name: np.zeros(n) for name in ("x_m", "y_m", "vy_mps", "ay_mps2", "kkt_residual")}
+    columns = {name: np.zeros(n) for name in ("x_m", "y_m", "ay_mps2", "kkt_residual")}
     columns |= {
         "vx_mps": np.full(n, vx),
+        "vy_mps": np.full(n, vy),
         "vx_ref_mps": np.full(n, 10.0),
         "ey_m": np.full(n, 0.02),
-        "epsi_rad": np.full(n, 0.003),
+        "epsi_rad": np.full(n, epsi),
         "delta_cmd_rad": steer * (-1.0) ** np.arange(n),
         "solved": np.ones(n, bool),
         "fallback": np.zeros(n, np.int8),
@@ -56,22 +62,125 @@ def bowl(monkeypatch):
 # What it costs ----------------------------------------------------------------------------------
 
 
-def test_the_cost_is_the_papers_sum_of_three_rmse():
-    expected = 0.02 + 0.003 + 0.5
+def plain(log, scale=1.0):
+    """The cost of a run without its saturation."""
+    cost = driving.cost(log, scale)
+    return cost / (1.0 - cost / driving.LOST)
+
+
+def test_the_cost_is_the_sum_of_three_rmse_over_the_worlds_scale():
+    expected = 0.02 + driving.COURSE * 0.003 + driving.SPEED * 0.5
     # the sum of three numbers of this size, to rounding
-    assert tuning.cost(fake_log(vx=10.5)) == pytest.approx(expected, rel=1e-12)
+    assert plain(fake_log(vx=10.5)) == pytest.approx(expected, rel=1e-12)
+    assert plain(fake_log(vx=10.5), 0.005) == pytest.approx(expected / 0.005, rel=1e-12)
 
 
-def test_a_nervous_command_is_charged():
-    # +-1 mrad from period to period: second differences of 4 mrad in 33 ms
-    calm, nervous = tuning.cost(fake_log()), tuning.cost(fake_log(steer=0.001))
-    assert nervous - calm == pytest.approx(NERVOUS * 0.004 / 0.033, rel=1e-9)
+def test_an_angle_that_side_wind_asks_for_costs_nothing():
+    crab = math.atan2(0.3, 10.0)  # the car drifts to the left and so looks to the right
+    assert plain(fake_log(vy=0.3, epsi=-crab)) == pytest.approx(0.02, rel=1e-12)
+
+
+def test_steering_and_a_nervous_command_are_charged():
+    # +-1 mrad from period to period: first differences of 2 mrad and second ones of 4 in 33 ms
+    calm, nervous = plain(fake_log()), plain(fake_log(steer=0.001))
+    expected = (driving.STEERING * 0.002 + driving.NERVOUS * 0.004) / 0.033
+    assert nervous - calm == pytest.approx(expected, rel=1e-9)
 
 
 def test_a_lost_car_costs_more_than_any_that_arrives_and_less_the_further_it_came():
-    early = tuning.cost(fake_log(completed=False, reached=10.0))
-    late = tuning.cost(fake_log(completed=False, reached=90.0))
-    assert early > late > tuning.LOST > tuning.cost(fake_log(vx=15.0))
+    early, late = (
+        driving.cost(fake_log(completed=False, reached=reached), 0.001) for reached in (10.0, 90.0)
+    )
+    worst = driving.cost(fake_log(vx=1000.0), 0.001)
+    assert 2.0 * driving.LOST > early > late > driving.LOST > worst
+
+
+def test_each_preset_world_has_a_scale_and_others_that_of_the_fleet():
+    assert set(driving.SCALES) == set(WORLDS)
+    assert driving.scale(batch.Run(world="ideal")) < driving.scale(batch.Run(world="fleet"))
+    own = batch.Run(world={"name": "own", "latency": 0.01})
+    assert driving.scale(own) == driving.OTHER_SCALE
+
+
+# The risk ---------------------------------------------------------------------------------------
+
+
+def test_the_risk_is_the_mean_of_the_worst_fifth_and_a_share_of_the_mean():
+    ten = [1.0, 9.0, 2.0, 3.0, 4.0, 7.0, 5.0, 6.0, 8.0, 5.0]
+    assert driving.risk(ten) == 8.5 + driving.PLAIN * 5.0
+    assert driving.risk([3.0, 1.0]) == 3.0 + driving.PLAIN * 2.0  # at least one run
+
+
+def test_the_risk_never_falls_as_runs_come_in():
+    costs = np.random.default_rng(0).exponential(size=23).tolist()
+    so_far = [driving.risk(costs[:k], len(costs)) for k in range(1, 24)]
+    assert so_far == sorted(so_far) and so_far[-1] == driving.risk(costs)
+
+
+@dataclass(frozen=True)
+class Parts:
+    """A cost of five parts that stops where it may; counts the parts that it looked at."""
+
+    seen: list
+    limit: float = math.inf
+
+    def up_to(self, limit):
+        return replace(self, limit=limit)
+
+    def __call__(self, x):
+        total = 0.0
+        for part in (x - 0.3) ** 2:
+            self.seen.append(part)
+            total += part
+            if total > self.limit:
+                break
+        return total
+
+
+@pytest.mark.parametrize("search", [genetic, pso])
+def test_stopping_early_spares_work_and_changes_nothing(search):
+    stopped, whole = Parts([]), Parts([])
+    how = {"seed": 3, "settings": search.Settings(generations=12, population=8)}
+    one = search.minimise(stopped, np.zeros(5), np.ones(5), **how)
+    other = search.minimise(lambda x: whole(x), np.zeros(5), np.ones(5), **how)
+    assert one.best.tolist() == other.best.tolist() and one.cost == other.cost  # bit for bit
+    assert [g.mean for g in one.history] == [g.mean for g in other.history]
+    assert len(stopped.seen) < 0.95 * len(whole.seen)
+
+
+def test_a_weight_set_is_not_driven_on_once_it_is_certain_to_be_too_bad(monkeypatch):
+    log = fake_log(completed=False, reached=50.0)
+    driven = []
+    monkeypatch.setattr(batch, "drive", lambda run: driven.append(run) or log)
+    runs = tuning.runs(Task(), {"q_ey": 1.0})
+    cost = driving.DrivingCost("lpv-mpc", runs, Space({"q_ey": (1.0, 2.0)}))
+    whole = cost(np.zeros(1))
+    assert whole == driving.risk([driving.cost(log, 1.0)] * len(runs))
+    assert [run.seed for run in driven] == [run.seed for run in reversed(runs)]
+    driven.clear()
+    assert 10.0 < cost.up_to(10.0)(np.zeros(1)) < whole and len(driven) == 1
+    assert cost.up_to(whole)(np.zeros(1)) == whole  # as good as the worst: it may stay
+
+
+# What is driven ---------------------------------------------------------------------------------
+
+
+def test_every_run_has_its_own_draw_apart_from_those_of_reports():
+    few, more = (tuning.runs(Task(seeds=seeds), {}) for seeds in (1, 3))
+    assert len(few) == 2 * 4 and few == more[:8]  # the same draws, and further ones
+    assert len(more) == 8 + 2 * 2 * 3  # the ideal world has nothing to draw
+    seeds = [run.seed for run in more]
+    assert len(set(seeds)) == len(seeds) and min(seeds) == tuning.FIRST_SEED
+    assert tuning.FIRST_SEED + tuning.MAX_RUNS < 100_000
+    assert {run.world for run in more} == {"ideal", "rtk", "fleet"}
+
+
+def test_where_friction_is_taken_away_the_plan_leaves_some():
+    grips = {run.world: run.scenario_options.get("grip") for run in tuning.runs(Task(), {})
+             if run.scenario == "tuning-a"}
+    fleet = WORLDS["fleet"]
+    left = fleet.road["friction"].low * fleet.car["mu_f"].low
+    assert grips["ideal"] == grips["rtk"] == 0.8 and grips["fleet"] < left
 
 
 # What is searched -------------------------------------------------------------------------------
@@ -166,7 +275,9 @@ def test_an_individual_that_raises_is_charged_and_named(bowl, monkeypatch):
     (failure,) = tuned.results[0].failures
     assert (failure.generation, failure.individual) == (0, 2)
     assert failure.text == "RuntimeError: the worker caught fire"
-    assert "Generation 0, individual 2: RuntimeError" in tuning_report.report(tuned, [], [])
+    results = [batch.charged(run, "spun") for run in tuning.runs(tuned.task, {})]
+    text = tuning_report.report(tuned, results, results)
+    assert "Generation 0, individual 2: RuntimeError" in text
 
 
 def test_a_controller_that_never_drives_is_one_sentence(monkeypatch):
@@ -186,11 +297,22 @@ def test_one_worker_and_two_find_the_same(tmp_path):
     task = Task(
         controller="pure-pursuit",
         scenarios=(str(tmp_path / "road.csv"),),
+        worlds=("ideal", "fleet"),
         generations=1,
         population=4,
     )
     with workers(2) as two:
         assert tune(task, map=two.map).weights == tune(task).weights
+
+
+def test_weights_that_ended_on_a_bound_are_named(bowl):
+    tuned = tune(TASK)
+    low, high = tuning._by_hand("stanley").RANGES["k_e"]
+    inside = {name: math.sqrt(a * b) for name, (a, b) in tuning._by_hand("stanley").RANGES.items()}
+    for value, named in ((low, True), (0.99 * high, True), (0.8 * high, False)):
+        there = replace(tuned, weights={**inside, "k_e": value})
+        assert there.on_bounds == (("k_e",) if named else ())
+        assert ("k_e" in tuning_report.bounds_sentence(there)) == named
 
 
 # Bad input --------------------------------------------------------------------------------------
@@ -201,6 +323,9 @@ def test_one_worker_and_two_find_the_same(tmp_path):
     [
         ({"controller": "lpv"}, UnknownNameError, "Unknown controller 'lpv'"),
         ({"scenarios": ()}, OptionError, "scenarios is"),
+        ({"worlds": ()}, OptionError, "worlds is"),
+        ({"worlds": ("dry",)}, UnknownNameError, "Unknown world 'dry'"),
+        ({"seeds": 0}, OptionError, "seeds is 0, but must be a whole number from 1 to 1250"),
         ({"generations": 0}, OptionError, "generations is 0, but must be"),
         ({"population": 3}, OptionError, "population is 3, but must be"),
     ],
@@ -219,9 +344,10 @@ def checkpoint(bowl, tmp_path):
 
 
 def test_another_task_is_not_resumed(checkpoint):
-    other = Task(controller="stanley", generations=5, population=6, scenarios=("tuning-b",))
     with pytest.raises(DataError, match="was made with generations 4, not 5"):
-        tune(other, checkpoint=checkpoint, resume=True)
+        tune(replace(TASK, generations=5), checkpoint=checkpoint, resume=True)
+    with pytest.raises(DataError, match=r"was made with worlds \['ideal'\], not \['rtk'\]"):
+        tune(replace(TASK, worlds=("rtk",)), checkpoint=checkpoint, resume=True)
 
 
 def test_another_version_of_the_package_is_not_resumed(checkpoint, monkeypatch):
@@ -258,13 +384,17 @@ def test_the_weights_it_saves_are_those_it_found(bowl, tmp_path):
     tuned = tune(TASK)
     result = {
         "scenario": "tuning-b", "lateral_rmse_m": 0.1, "lateral_max_m": None,
-        "heading_rmse_rad": 0.2, "speed_rmse_mps": 0.3, "completed": False, "reason": "spun",
+        "course_rmse_rad": 0.2, "speed_rmse_mps": 0.3, "completed": False, "reason": "spun",
     }
     files = tuning_report.save(tuned, [result], [result], tmp_path)
     assert weights_file.read_weights(tmp_path / "weights.toml", "stanley") == tuned.weights
-    assert json.loads((tmp_path / "tuning.json").read_text())["weights"] == tuned.weights
+    values = json.loads((tmp_path / "tuning.json").read_text())
+    assert values["weights"] == tuned.weights and values["draws"] == [tuning.FIRST_SEED]
+    assert values["task"]["worlds"] == ["ideal"] and values["cost_is"] == driving.RISK
     text = (tmp_path / "tuning.md").read_text()
-    assert "lost: spun" in text and "100.00 / -" in text
+    assert "lost: spun" in text and "100.00 / -" in text and "tuning-b, ideal 1000" in text
+    record = tomllib.loads((tmp_path / "weights.toml").read_text())["record"]
+    assert record["worlds"] == ["ideal"] and record["draws"] == [tuning.FIRST_SEED]
     rows = (tmp_path / "history.csv").read_text().splitlines()
     assert len(rows) == 1 + sum(len(r.history) for r in tuned.results)
     assert all(file.stat().st_size > 100 for file in files)

@@ -1,1 +1,1 @@
-"""What adapting the stiffness is worth, and how long a period takes."""
+"""What holds in which world, what adapting the stiffness is worth, how long a period takes."""

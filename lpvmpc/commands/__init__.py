@@ -18,6 +18,7 @@ COMMANDS = {
     "collect": "collect tire data: random manoeuvres up to the grip limit",
     "train": "train a network of the tires on such data",
     "benchmark": "compare stiffness models in closed loop: accuracy, robustness",
+    "worlds": "drive in worlds that controllers are not told of: margins, samples",
     "fidelity": "run the fidelity studies of the simulated car",
     "reproduce": "put the paper's numbers and figures beside ours",
     "speed": "measure how fast the package is on this machine",

@@ -9,14 +9,12 @@ measured, promises met or not; 2 bad input; 130 interrupted.
 
 from __future__ import annotations
 
-import re
 import sys
-import textwrap
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from lpvmpc.errors import LPVMPCError
+from lpvmpc.commands.batches import driver, prepare, wrapped
 from lpvmpc.kit import cli
 from lpvmpc.kit.progress import Bar
 from lpvmpc.kit.report import write_report
@@ -25,7 +23,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from lpvmpc.bench.cases import DrivenCase, FactorSearch
-    from lpvmpc.sim.batch import Run
 
 NAME = "benchmark"
 QUICK_OUT = Path("runs/benchmark-quick")
@@ -56,7 +53,7 @@ def main(options: Options) -> int:
     out = cli.writable_folder(options.out or (QUICK_OUT if options.quick else Path("docs/results")))
     if options.json is not None:
         cli.writable_folder(options.json.parent)
-    prepare(options.cache, options.resume)
+    prepare(options.cache, options.resume, NAME)
     from lpvmpc.bench import cases as ablation
     from lpvmpc.bench import report
 
@@ -89,43 +86,6 @@ def main(options: Options) -> int:
     return cli.DONE
 
 
-def prepare(cache: Path, resume: bool) -> None:
-    """Make the folder of results; empty it, or see that there is something to go on from.
-
-    Raises:
-        LPVMPCError: Nothing to go on from.
-        OutputError: The folder cannot be written.
-    """
-    if resume and not results(cache):
-        raise LPVMPCError(
-            f"--resume needs the results of an earlier benchmark, but {str(cache)!r} has none; "
-            "leave --resume out to begin anew."
-        )
-    cli.writable_folder(cache)
-    if not resume:
-        for file in results(cache):
-            file.unlink(missing_ok=True)
-
-
-def results(cache: Path) -> list[Path]:
-    """The kept results: files named by a key, and no others."""
-    return [file for file in cache.glob("*.json") if re.fullmatch(r"[0-9a-f]{32}", file.stem)]
-
-
-def driver(jobs: int, cache: Path, bar: Bar) -> Any:
-    """Makes a function that drives runs under a title, as `bench.cases` wants it."""
-    from lpvmpc.sim.batch import drive_all
-
-    def under(title: str) -> Any:
-        def drive(runs: Sequence[Run]) -> list[dict[str, Any]]:
-            bar.begin(title, len(runs))
-            return drive_all(runs, jobs=jobs, cache=cache, progress=lambda done, _: bar.at(done))
-
-        return drive
-
-    return under
-
-
 def summary(rows: Sequence[DrivenCase], searches: Mapping[bool, FactorSearch]) -> str:
     """What is printed, at 80 columns: the summary, the promises, the sentences."""
     from lpvmpc.bench import report
@@ -141,10 +101,3 @@ def summary(rows: Sequence[DrivenCase], searches: Mapping[bool, FactorSearch]) -
         *sentences(Results(rows), dict(searches)),
     ]
     return "\n".join(part if "\n" in part else wrapped(part) for part in parts)
-
-
-def wrapped(sentence: str) -> str:
-    """A sentence in lines of 80 columns, numbers kept together with their unit."""
-    kept = re.sub(r"(?<=\d) (?=%|mm)", "\N{NO-BREAK SPACE}", sentence)
-    lines = textwrap.fill(kept, 80, break_on_hyphens=False)
-    return lines.replace("\N{NO-BREAK SPACE}", " ")

@@ -102,7 +102,8 @@ def retune(cache: Path, jobs: int, quick: bool, say: Say) -> dict[str, Tuning]:
         folder = cache / "tuning" / name
         if quick:
             task = tuning.Task(
-                controller=name, scenarios=("tuning-b",), generations=2, population=4
+                controller=name, scenarios=("tuning-b",), worlds=("ideal", "fleet"),
+                generations=2, population=4,
             )
             folder = cache / "tuning-quick" / name
         one = records.read_tuning(retrain.tune(task, folder, jobs, say))

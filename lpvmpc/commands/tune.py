@@ -37,6 +37,11 @@ class Options:
     controller: Annotated[str, cli.Option(help=f"{', '.join(CONTROLLERS)}.")] = "lpv-mpc"
     scenario: tuple[str, ...] = ()
     """What to tune on (default: two tracks that no result is reported on)."""
+    worlds: tuple[str, ...] = ()
+    """Worlds to tune in, one draw for each time that a name is there (default: ideal rtk fleet
+    fleet)."""
+    seeds: int | None = None
+    """Draws of each of the worlds (default: 1)."""
     generations: int | None = None
     """Generations (default: 15; with --sphere 100)."""
     population: int | None = None
@@ -64,6 +69,7 @@ def main(options: Options) -> int:
     cli.check_number("--generations", options.generations, 1, 10_000)
     cli.check_number("--population", options.population, 2, 10_000)
     cli.check_number("--seed", options.seed, 0, 2**62)
+    cli.check_number("--seeds", options.seeds, 1, 1000)
     cli.check_number("--jobs", options.jobs, 1, 10_000)
     cli.check_opengl()
     return show_sphere(options) if options.sphere else tune(options)
@@ -76,10 +82,11 @@ def tune(options: Options) -> int:
     from lpvmpc.sim import batch
     from lpvmpc.tune import tuning, tuning_report
 
-    chosen = {name: getattr(options, name) for name in ("generations", "population")}
+    chosen = {name: getattr(options, name) for name in ("generations", "population", "seeds")}
     task = tuning.Task(
         controller=options.controller,
         scenarios=options.scenario or tuple(tuning.TRACKS),
+        worlds=options.worlds or tuning.WORLDS,
         seed=options.seed,
         **{name: value for name, value in chosen.items() if value is not None},
     )
@@ -89,8 +96,9 @@ def tune(options: Options) -> int:
     if options.json is not None:
         cli.writable_folder(options.json.parent)
     jobs = options.jobs or cli.cores()
-    print(f"Tuning {task.controller} on {', '.join(task.scenarios)}: "
-          f"at most {task.budget} evaluations, {jobs} jobs, seed {task.seed}.")
+    print(f"Tuning {task.controller} on {', '.join(task.scenarios)} in {', '.join(task.worlds)}:")
+    print(f"at most {task.budget} evaluations of {len(tuning.runs(task, {}))} runs, {jobs} jobs, "
+          f"seed {task.seed}.")
     try:
         with workers(jobs, options.backend, options.address) as pool, GenerationTable() as table:
             tuned = tuning.tune(
@@ -101,7 +109,7 @@ def tune(options: Options) -> int:
                 after=table,
             )
         before, after = (
-            batch.drive_all(tuning.runs(task, weights), jobs=1)
+            batch.drive_all(tuning.runs(task, weights), jobs=jobs)
             for weights in (tuned.by_hand, tuned.weights)
         )
     except KeyboardInterrupt:
@@ -172,11 +180,11 @@ class GenerationTable:
 def print_result(
     tuned: Tuned, before: list[dict[str, Any]], after: list[dict[str, Any]]
 ) -> None:
-    """Weights, and what they bring on the scenarios that tuned them."""
+    """Weights, and what they bring in the runs that tuned them."""
     from rich.console import Console
     from rich.table import Table as Rows
 
-    from lpvmpc.tune.tuning_report import numbers
+    from lpvmpc.tune.tuning_report import bounds_sentence, driven_rows
 
     console = Console(width=80 if not sys.stdout.isatty() else None, highlight=False)
     weights = Rows(title="Weights", title_style="bold", title_justify="left", expand=False)
@@ -185,12 +193,12 @@ def print_result(
     for name, value in tuned.weights.items():
         weights.add_row(name, f"{tuned.by_hand[name]:.4g}", f"{value:.4g}")
     console.print(weights)
+    console.print(bounds_sentence(tuned))
     driven = Rows(title="Driven", title_style="bold", title_justify="left", expand=False)
-    for name in ("scenario", "weights", "lateral\nmm", "heading\nrad", "speed\nm/s", ""):
+    for name in ("run", "weights", "lateral\nmm", "course\nrad", "speed\nm/s", ""):
         driven.add_column(name)
-    for pair in zip(before, after, strict=True):
-        for label, result in zip(("by hand", "tuned"), pair, strict=True):
-            driven.add_row(result["scenario"], label, *numbers(result))
+    for row in driven_rows(tuned.task, before, after):
+        driven.add_row(*row)
     console.print(driven)
 
 

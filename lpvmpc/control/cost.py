@@ -53,19 +53,19 @@ class Weights:
     """
 
     RANGES: ClassVar[dict[str, tuple[float, float]]] = {
-        "q_vx": (3.0, 300.0),
-        "q_vy": (0.01, 10.0),
-        "q_r": (0.01, 10.0),
-        "q_ey": (8.0, 800.0),
-        "q_epsi": (8.0, 800.0),
-        "r_delta": (0.005, 0.5),
-        "r_ax": (0.004, 0.4),
-        "terminal": (0.0, 1.0),
-        "observer_gain": (0.1, 0.6),
-        "slip_cap": (0.1, 0.18),
+        "q_vx": (0.5, 300.0),
+        "q_vy": (0.001, 10.0),
+        "q_r": (0.001, 10.0),
+        "q_ey": (5.0, 800.0),
+        "q_epsi": (5.0, 2000.0),
+        "r_delta": (0.02, 5.0),
+        "r_ax": (0.01, 5.0),
+        "terminal": (0.2, 3.0),
+        "observer_gain": (0.03, 0.9),
+        "slip_cap": (0.1, 0.2),
     }
-    """Where tuning searches: a decade to either side of the values set by hand, what these leave
-    out near nothing, and for gain and cap the values that keep this car on the road."""
+    """Where tuning searches: wide enough that no optimum lies on a bound; a report of a tuning
+    names those that do."""
 
     q_vx: float = 30.0
     """Weight of the speed error."""
@@ -82,7 +82,7 @@ class Weights:
     r_ax: float = 0.04
     """Weight of the jerk."""
     terminal: float = 1.0
-    """Factor on the cost-to-go at the end of the horizon, 0 to 1."""
+    """Factor on the cost-to-go at the end of the horizon; above 1 it is priced above its worth."""
     observer_gain: float = 0.3
     """Gain of the disturbance observer, 0 to 1."""
     slip_cap: float = 0.14

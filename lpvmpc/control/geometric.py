@@ -78,8 +78,8 @@ class PurePursuitWeights(PIDGains):
     """Everything of `PurePursuit` that is tuned."""
 
     RANGES: ClassVar[dict[str, tuple[float, float]]] = {
-        "lookahead_time": (0.1, 1.5),
-        "lookahead_min": (2.0, 10.0),
+        "lookahead_time": (0.05, 1.5),
+        "lookahead_min": (0.5, 15.0),
         **PIDGains.RANGES,
     }
     """Where tuning searches: from lookaheads too short to be stable to some that cut bends."""
@@ -166,14 +166,13 @@ class StanleyWeights(PIDGains):
     """Everything of `Stanley` that is tuned."""
 
     RANGES: ClassVar[dict[str, tuple[float, float]]] = {
-        "k_e": (0.6, 60.0),
-        "softening": (0.1, 10.0),
-        "yaw_damping": (0.015, 0.5),
-        "slip_share": (0.1, 2.0),
+        "k_e": (0.2, 100.0),
+        "softening": (0.03, 100.0),
+        "yaw_damping": (0.005, 0.5),
+        "slip_share": (0.05, 3.0),
         **PIDGains.RANGES,
     }
-    """Where tuning searches: a decade to either side of the values set by hand, less where the car
-    would be lost, or steered by slip that is not there."""
+    """Where tuning searches: wide enough that no optimum lies on a bound."""
 
     k_e: float = 6.0
     """Gain of the front axle's lateral error [1/s]: the error decays at this rate."""

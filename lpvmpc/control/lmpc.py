@@ -42,15 +42,14 @@ class LMPCWeights(PIDGains):
     """
 
     RANGES: ClassVar[dict[str, tuple[float, float]]] = {
-        "q_vy": (0.01, 10.0),
-        "q_r": (0.01, 10.0),
-        "q_ey": (8.0, 800.0),
-        "q_epsi": (80.0, 8000.0),
-        "r_delta": (0.018, 1.8),
+        "q_vy": (0.001, 100.0),
+        "q_r": (0.001, 10.0),
+        "q_ey": (5.0, 800.0),
+        "q_epsi": (5.0, 8000.0),
+        "r_delta": (0.02, 5.0),
         **PIDGains.RANGES,
     }
-    """Where tuning searches: a decade to either side of the values set by hand, what these leave
-    out near nothing."""
+    """Where tuning searches: wide enough that no optimum lies on a bound."""
 
     q_vy: float = 0.0
     """Weight of the lateral speed."""

@@ -18,12 +18,12 @@ class PIDGains:
     """Gains of `SpeedPID`; the weights of a controller that has one add their own to them."""
 
     RANGES: ClassVar[dict[str, tuple[float, float]]] = {
-        "kp": (0.6, 20.0),
-        "ki": (0.6, 60.0),
-        "kd": (0.02, 0.5),
+        "kp": (0.2, 60.0),
+        "ki": (0.05, 200.0),
+        "kd": (0.005, 2.0),
     }
-    """Where tuning searches: a decade to either side of the values set by hand, but no gain that
-    alone makes the speed oscillate at 33 ms."""
+    """Where tuning searches: up to gains that make the speed oscillate at 33 ms, so that no optimum
+    lies on a bound."""
 
     kp: float = 6.0
     """Acceleration per speed error [1/s]."""

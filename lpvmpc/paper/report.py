@@ -296,9 +296,10 @@ def tunings(e: Evidence, pictures: Mapping[str, str]) -> Iterable[str]:
     header = ("controller", "roads", "evaluations", "first best", "last best",
               "by hand [mm]", "tuned [mm]")
     yield markdown_table("Tuning, the same budget for every controller", header, body)
-    yield ("The cost is the paper's sum of the three RMSEs over the roads, plus a price for a "
-           "nervous steering command; the last two columns are the worst lateral RMSE on these "
-           "roads. Weights set by hand are among the first population.\n")
+    yield ("The cost is made of the paper's three RMSEs and a price for a nervous steering "
+           "command, as each tuning's report defines it; the last two columns are the worst "
+           "lateral RMSE on these roads. Weights set by hand are among the first population."
+           "\n")
     if "weights" not in e.anew:
         yield "Each tuning has its own report: docs/results/tuning/CONTROLLER/tuning.md.\n"
     yield from _pictures(pictures, ["tuning"])

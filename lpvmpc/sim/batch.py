@@ -26,7 +26,7 @@ from lpvmpc.plant import deviations
 from lpvmpc.plant.mjcf import model_path
 from lpvmpc.road.scenario import RoadFriction, Scenario
 from lpvmpc.sim.loop import simulate
-from lpvmpc.sim.metrics import KEYS, metrics
+from lpvmpc.sim.metrics import KEYS, jerk_rms, metrics
 from lpvmpc.sim.names import load_controller, load_scenario
 from lpvmpc.sim.world import load_world
 
@@ -39,6 +39,8 @@ FOUNDATION = (
     "sensing/**/*", "sim/**/*",
 )
 """What a closed loop stands on, by the import contract: a change there makes kept results void."""
+KEPT = (*KEYS, "jerk_rms_mps3")
+"""What is kept of a run: its `metrics`, and the lateral jerk."""
 DIED = (
     "A worker process died (killed, or out of memory?); what was finished is kept, and fewer jobs "
     "need less memory."
@@ -214,7 +216,7 @@ def charged(run: Run, reason: str) -> dict[str, Any]:
     """The result of a run that has none: not completed, for this reason."""
     stiffness = run.controller_options.get("stiffness")
     known = {"scenario": run.scenario, "controller": run.controller, "stiffness": stiffness}
-    return {**dict.fromkeys(KEYS), **known, "seed": run.seed, "completed": False, "reason": reason}
+    return {**dict.fromkeys(KEPT), **known, "seed": run.seed, "completed": False, "reason": reason}
 
 
 def drive_all(
@@ -226,7 +228,7 @@ def drive_all(
     cache: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
 ) -> list[dict[str, Any]]:
-    """Drive many runs; each gives its `metrics`, whatever happens to the others.
+    """Drive many runs; each gives what `KEPT` names, whatever happens to the others.
 
     A run that raises counts as not completed, with the error as its reason; it is driven again
     when asked for again. Ctrl-C ends the batch at once, and what has ended until then is kept.
@@ -276,7 +278,7 @@ def read_result(cache: Path, key: str) -> dict[str, Any] | None:
         value = json.loads((cache / f"{key}.json").read_text())
     except (OSError, ValueError):
         return None
-    return value if isinstance(value, dict) and set(value) == set(KEYS) else None
+    return value if isinstance(value, dict) and set(value) == set(KEPT) else None
 
 
 Outcome = tuple[str, dict[str, Any], bool]
@@ -298,4 +300,4 @@ def _outcome(item: tuple[str, Run]) -> Outcome:
         return key, charged(run, described(error)), True
     if log.meta["reason"] == "interrupted":
         raise KeyboardInterrupt
-    return key, metrics(log), False
+    return key, {**metrics(log), "jerk_rms_mps3": jerk_rms(log)}, False

@@ -137,6 +137,15 @@ def estimate_error(log: Log) -> float | None:
     return rms(error[np.isfinite(error)])
 
 
+def jerk_rms(log: Log) -> float | None:
+    """Root mean square of the lateral jerk [m/s3]; None where there are no two instants.
+
+    The change of the centre of mass's lateral acceleration from one control instant to the next,
+    over the control period: what a passenger feels of a restless controller.
+    """
+    return rms(np.diff(log.columns["ay_mps2"]) / log.meta["Ts"])
+
+
 def wrap(angle: Array) -> Array:
     """The angle in [-pi, pi) [rad], shape (...,)."""
     return (angle + math.pi) % (2.0 * math.pi) - math.pi

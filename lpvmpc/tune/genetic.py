@@ -173,7 +173,9 @@ def _advance(search: Search, settings: Settings, selection: Selection, state: St
             pair = np.array([_tournament(rng, costs, settings.rivals) for _ in range(2)])
         children += _cross(rng, individuals[pair[0]], individuals[pair[1]], settings)
     young = _mutate(rng, np.array(children), state.lower, state.upper, settings)
-    young_costs, failures = evaluate(search.cost, young, search.map, state.generation + 1)
+    young_costs, failures = evaluate(  # what is worse than the worst parent does not survive
+        search.cost, young, search.map, state.generation + 1, limit=float(costs.max())
+    )
 
     # Children first: a stable sort then prefers them among equals.
     everyone, all_costs = np.vstack([young, individuals]), np.concatenate([young_costs, costs])

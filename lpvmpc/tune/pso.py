@@ -148,7 +148,9 @@ def _advance(search: Search, settings: Settings, state: State) -> State:
     beyond = (x + v < lower) | (x + v > upper)
     x = np.clip(x + v, lower, upper)
     v = np.where(beyond, -BOUNCE * v, v)
-    now, failures = evaluate(search.cost, x, search.map, state.generation + 1)
+    now, failures = evaluate(  # what is worse than all that is remembered is not remembered
+        search.cost, x, search.map, state.generation + 1, limit=float(costs.max())
+    )
 
     # As good as before counts as better, so that a swarm on a plateau still wanders.
     better = now <= costs

@@ -25,6 +25,8 @@ from lpvmpc.tune.checkpoint import Failure, Generation, Result, State, frozen
 from lpvmpc.units import Array
 
 Cost = Callable[[Array], float]
+"""What is minimised. It may have a method `up_to(limit)`, which gives the same cost below the limit
+and above it any number that is above it too: it can stop where its value no longer matters."""
 Outcome = tuple[float, str | None]
 """Cost of an individual, and what went wrong, if anything."""
 Map = Callable[[Callable[[Array], Outcome], list[Array]], Iterable[Outcome]]
@@ -58,7 +60,7 @@ class Guarded:
 
 
 def evaluate(
-    cost: Cost, individuals: Array, map: Map, generation: int
+    cost: Cost, individuals: Array, map: Map, generation: int, limit: float = math.inf
 ) -> tuple[Array, tuple[Failure, ...]]:
     """Costs of some individuals.
 
@@ -67,6 +69,8 @@ def evaluate(
         individuals: Shape (k, n).
         map: Calls the cost for each.
         generation: For the failures.
+        limit: Costs above it need not be exact: these individuals change nothing. It is known
+            before any of them is evaluated, so the outcome does not depend on who is first.
 
     Returns:
         Costs, shape (k,), never NaN; and those that failed.
@@ -74,6 +78,9 @@ def evaluate(
     Raises:
         ValueError: `map` gave more or fewer outcomes than there are individuals.
     """
+    up_to: Callable[[float], Cost] | None = getattr(cost, "up_to", None)
+    if up_to is not None and math.isfinite(limit):
+        cost = up_to(limit)
     outcomes = list(map(Guarded(cost), list(individuals)))
     costs, failures = np.empty(len(individuals)), []
     for i, (_, (value, text)) in enumerate(zip(individuals, outcomes, strict=True)):

@@ -1,17 +1,10 @@
-"""What is tuned, where, and at which cost: the weights of every controller, by the same budget.
+"""What is tuned, where, and by which searches: the weights of every controller, by one budget.
 
-The cost of some weights is, summed over the scenarios,
-
-    RMSE(ey) / m + RMSE(epsi) / rad + RMSE(vx - vx_ref) / (m/s)  +  C rms(d2 delta) / Ts
-
-The first three are the paper's. The last charges a nervous command: d2 delta is the second
-difference of the commanded steering angle, C = `NERVOUS`. A car that is lost costs
-`LOST` (2 - driven share of the path) instead, more than any that arrives.
-
-The LPV-MPC's weights are found by the genetic algorithm. A controller with a PID on its speed has
-its gains found first, by the particle swarm, and then its lateral weights by the genetic algorithm,
-both within the number of evaluations that the LPV-MPC has. Positive weights are searched by their
-logarithm, since they act by ratios. The weights set by hand are among the first population.
+A weight set drives tuning roads in drawn worlds; `driving` says what that costs. The LPV-MPC's
+weights are found by the genetic algorithm. A controller with a PID on its speed has its gains found
+first, by the particle swarm, and then its lateral weights by the genetic algorithm, both within the
+number of evaluations that the LPV-MPC has. Positive weights are searched by their logarithm, since
+they act by ratios. The weights set by hand are among the first population.
 """
 
 from __future__ import annotations
@@ -20,7 +13,7 @@ import json
 import math
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -31,28 +24,33 @@ from lpvmpc.control.weights_file import apply, as_dict
 from lpvmpc.errors import DataError, LPVMPCError, OptionError, UnknownNameError
 from lpvmpc.kit.files import write_json
 from lpvmpc.sim import batch
-from lpvmpc.sim.log import Log
-from lpvmpc.sim.metrics import metrics
 from lpvmpc.sim.names import load_controller
+from lpvmpc.sim.world import load_world
 from lpvmpc.tune import genetic, pso
 from lpvmpc.tune.checkpoint import Result, State
+from lpvmpc.tune.driving import DrivingCost
 from lpvmpc.tune.search import Map
 from lpvmpc.units import Array
 
 TRACKS: dict[str, dict[str, Any]] = {"tuning-a": {"grip": 0.8}, "tuning-b": {}}
 """Tracks made for tuning, and the options they are driven with: one near the limit of grip, one in
 a side wind. No result is reported on them."""
-NERVOUS = 0.1
-"""Price of a nervous command [s/rad]: a steering angle that alternates by +-1 mrad from period to
-period costs as much as 12 mm."""
-LOST = 10.0
-"""Price of losing the car."""
+GRIP_LESS_FRICTION = 0.65
+"""Grip at which such a road is driven in worlds that take friction away: what `fleet` may leave,
+0.8 x 0.9 of the friction that the plan counts on, still carries the car. A run that nobody can
+drive would be among the worst of every weight set and tell them apart no more."""
+WORLDS = ("ideal", "rtk", "fleet", "fleet")
+"""Worlds of a tuning: one draw for each time that a name is there."""
+FIRST_SEED = 1000
+"""Seed of the first draw; reports begin at 100000."""
+MAX_RUNS = 10_000
+"""Most runs of a weight set, which keeps the seeds below those of reports."""
 PID_GAINS = ("kp", "ki", "kd")
 """Weights that the particle swarm finds."""
 WITHOUT_EFFECT = {"lpv-mpc-paper": ("terminal", "observer_gain", "slip_cap")}
 """Weights of parts that a controller does not have."""
-DIGITS = 9
-"""Decimals of a cost. Beyond them lies what differs between processors."""
+NEAR = 0.02
+"""Share of its range within which a weight counts as on its bound."""
 FORMAT = 1
 """Version of a checkpoint."""
 
@@ -65,12 +63,16 @@ class Task:
     """Name of the controller."""
     scenarios: tuple[str, ...] = tuple(TRACKS)
     """Names of scenarios, or CSV files."""
+    worlds: tuple[str, ...] = WORLDS
+    """Names of worlds, or TOML files; a name that is there twice is drawn twice."""
+    seeds: int = 1
+    """Draws of each entry of `worlds`, each on every scenario."""
     generations: int = 15
     """Generations of the genetic algorithm after its first population."""
     population: int = 20
     """Individuals in its population."""
     seed: int = 0
-    """Seed of the searches and of the runs."""
+    """Seed of the searches; the runs have their own, the same for every search."""
 
     def __post_init__(self) -> None:
         """Refuse what cannot be tuned."""
@@ -78,6 +80,13 @@ class Task:
             raise UnknownNameError("controller", self.controller, CONTROLLERS)
         if not self.scenarios:
             raise OptionError("scenarios", self.scenarios, "at least one name")
+        if not self.worlds:
+            raise OptionError("worlds", self.worlds, "at least one name")
+        for world in self.worlds:
+            load_world(world)
+        most = MAX_RUNS // (len(self.scenarios) * len(self.worlds))
+        if not 1 <= self.seeds <= most:
+            raise OptionError("seeds", self.seeds, f"a whole number from 1 to {most}")
         if not 1 <= self.generations <= 10_000:
             raise OptionError("generations", self.generations, "a whole number from 1 to 10000")
         if not 4 <= self.population <= 10_000:
@@ -93,6 +102,8 @@ class Task:
         return {
             "controller": self.controller,
             "scenarios": list(self.scenarios),
+            "worlds": list(self.worlds),
+            "seeds": self.seeds,
             "generations": self.generations,
             "population": self.population,
             "seed": self.seed,
@@ -181,71 +192,41 @@ def _by_hand(controller: str) -> Any:
     return load_controller(controller, weights={}).weights  # type: ignore[attr-defined]
 
 
-# What it costs ------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class DrivingCost:
-    """Cost of a point of the search; picklable, so that workers can be sent it."""
-
-    controller: str
-    """Name of the controller."""
-    runs: tuple[batch.Run, ...]
-    """What is driven, with the weights that are not searched."""
-    space: Space
-    """What the point means."""
-
-    def __call__(self, coordinates: Array) -> float:
-        """Drive, and sum up.
-
-        Raises:
-            LPVMPCError: The controller failed.
-            KeyboardInterrupt: Ctrl-C.
-        """
-        total = 0.0
-        for run in self.runs:
-            weights = {**run.controller_options["weights"], **self.space.weights(coordinates)}
-            log = batch.drive(with_weights(run, weights))
-            if log.meta["reason"] == "interrupted":
-                raise KeyboardInterrupt
-            total += cost(log)
-        return round(total, DIGITS)
-
-
-def cost(log: Log) -> float:
-    """Cost of one run, as at the head of this file."""
-    result = metrics(log)
-    if not result["completed"]:
-        return LOST * (2.0 - min(result["s_end_m"] / log.scenario.path.length, 1.0))
-    errors = result["lateral_rmse_m"] + result["heading_rmse_rad"] + result["speed_rmse_mps"]
-    return float(errors + NERVOUS * nervousness(log))
-
-
-def nervousness(log: Log) -> float:
-    """Root mean square of the commanded steering rate's change from period to period [rad/s]."""
-    change = np.diff(log.columns["delta_cmd_rad"], 2)
-    return float(np.sqrt(np.mean(np.square(change)))) / log.meta["Ts"] if len(change) else 0.0
-
-
-def with_weights(run: batch.Run, weights: Mapping[str, float]) -> batch.Run:
-    """A run with other weights."""
-    options = {**run.controller_options, "weights": dict(weights)}
-    return replace(run, controller_options=options)
+# What is driven -----------------------------------------------------------------------------------
 
 
 def runs(task: Task, weights: Mapping[str, float]) -> tuple[batch.Run, ...]:
-    """The closed loops of a task."""
-    return tuple(
-        batch.Run(
-            label=name,
-            scenario=name,
-            scenario_options=TRACKS.get(name, {}),
-            controller=task.controller,
-            controller_options={"weights": dict(weights)},
-            seed=task.seed,
-        )
-        for name in task.scenarios
-    )
+    """The closed loops of a task; each has its own draw, but for worlds that draw nothing.
+
+    The seeds begin at `FIRST_SEED`, so that those of reports are never met here.
+    """
+    found: list[batch.Run] = []
+    for n in range(task.seeds):
+        for world in task.worlds:
+            if n > 0 and load_world(world).ideal:
+                continue  # it would be the same run again
+            for name in task.scenarios:
+                seed = FIRST_SEED + len(found)
+                found.append(
+                    batch.Run(
+                        label=f"{name}, {world}",
+                        scenario=name,
+                        scenario_options=options_of(name, world),
+                        controller=task.controller,
+                        controller_options={"weights": dict(weights)},
+                        world=world,
+                        seed=seed,
+                    )
+                )
+    return tuple(found)
+
+
+def options_of(scenario: str, world: str) -> dict[str, Any]:
+    """How a road of a tuning is driven in a world."""
+    options = dict(TRACKS.get(scenario, {}))
+    if "grip" in options and "friction" in load_world(world).road:
+        options["grip"] = GRIP_LESS_FRICTION
+    return options
 
 
 # Tuning -------------------------------------------------------------------------------------------
@@ -263,6 +244,17 @@ class Tuned:
     """All its weights, tuned."""
     results: tuple[Result, ...]
     """What each stage found."""
+
+    @property
+    def on_bounds(self) -> tuple[str, ...]:
+        """Weights that ended within `NEAR` of their range from one of its ends."""
+        found: list[str] = []
+        for stage in stages(self.task):
+            point = stage.space.coordinates(self.weights)
+            low, high = stage.space.bounds
+            near = np.minimum(point - low, high - point) <= NEAR * (high - low)
+            found += [name for name, on in zip(stage.space.ranges, near, strict=True) if on]
+        return tuple(found)
 
     @property
     def evaluations(self) -> int:
@@ -349,15 +341,15 @@ def _read(file: Path, task: Task) -> list[State]:
         raise DataError(f"{name} is no checkpoint of a tuning.")
     if value["format"] != FORMAT:
         raise DataError(f"The checkpoint {name} has format {value['format']!r}; this version reads "
-                        f"{FORMAT}.")  # fmt: skip
+                        f"{FORMAT}.")
     now = task.record()
     differs = [key for key in now if value["task"].get(key) != now[key]]
     if differs == ["foundation"]:
         raise DataError(f"The checkpoint {name} was made with another version of the package; "
-                        "without --resume the tuning begins anew.")  # fmt: skip
+                        "without --resume the tuning begins anew.")
     if differs:
         shown = "; ".join(f"{k} {value['task'].get(k)}, not {now[k]}" for k in differs
-                          if k != "foundation")  # fmt: skip
+                          if k != "foundation")
         raise DataError(f"The checkpoint {name} was made with {shown}.")
     try:
         return [State.from_json(state) for state in value["stages"]]

@@ -12,7 +12,7 @@ from lpvmpc.kit.files import write_json, write_picture, write_text
 from lpvmpc.kit.markdown import markdown_table
 from lpvmpc.kit.provenance import commit, machine, versions
 from lpvmpc.kit.report import csv_text, record
-from lpvmpc.tune import tuning
+from lpvmpc.tune import driving, tuning
 from lpvmpc.tune.checkpoint import Result
 from lpvmpc.tune.tuning import Stage, Tuned
 
@@ -23,11 +23,16 @@ SEARCHES = {"genetic": "genetic algorithm", "pso": "particle swarm"}
 """Names of the searches, as people call them."""
 
 DEFINITIONS = """\
-The cost is the paper's, the sum of the RMSEs of lateral error [m], heading error [rad] and speed \
-error [m/s], summed over the scenarios, plus {nervous:g} s/rad times the root mean square of the \
-commanded steering rate's change from period to period. A car that is lost costs {lost:g} to \
-{lost2:g} instead. Weights set by hand are among the first population. No result of this project \
-is reported on the scenarios that tune.
+A weight set drives {runs} runs: each road in each world, every run with its own draw (seeds \
+{first} to {last}), the same for all weight sets. The cost c of a run is the sum of the RMSEs of \
+lateral error [m], course error [rad] times {course:g} m and speed error [m/s] times {speed:g} s, \
+of the commanded steering rate's root mean square [rad/s] times {steering:g} m s and of its change \
+from period to period times {nervous:g} m s, over the lateral error of a good run in that world \
+({scales}). It saturates, c / (1 + c / {lost:g}); a car that is lost costs {lost:g} to {lost2:g} \
+instead, more the earlier it is. The cost of a weight set is the mean of the worst {worst:.0%} of \
+its runs plus {plain:g} times the mean of all. A weight set that is certain to be worse than the \
+whole population is not driven to its end, which changes no outcome. Weights set by hand are among \
+the first population. No result of this project is reported on the roads and draws that tune.
 """
 
 
@@ -47,9 +52,7 @@ def report(tuned: Tuned, before: Sequence[dict[str, Any]], after: Sequence[dict[
         + ", ".join(f"{name} {number}" for name, number in versions().items())
         + f". Seed {task.seed}.",
         "",
-        DEFINITIONS.format(
-            nervous=tuning.NERVOUS, lost=tuning.LOST, lost2=2.0 * tuning.LOST
-        ),
+        definitions(task),
         markdown_table(
             f"Searches, {tuned.evaluations} of at most {task.budget} evaluations",
             ("search", "weights", "population", "generations", "evaluations", "first best",
@@ -61,11 +64,12 @@ def report(tuned: Tuned, before: Sequence[dict[str, Any]], after: Sequence[dict[
             ("weight", "by hand", "tuned", "lowest", "highest"),
             _weight_rows(tuned),
         ),
+        f"{bounds_sentence(tuned)}\n",
         markdown_table(
-            "Driven on the scenarios that tuned them",
-            ("scenario", "weights", "lateral RMSE / largest [mm]", "heading RMSE [rad]",
+            "Driven on the roads and in the worlds that tuned them",
+            ("run", "weights", "lateral RMSE / largest [mm]", "course RMSE [rad]",
              "speed RMSE [m/s]", ""),
-            _driven_rows(before, after),
+            driven_rows(task, before, after),
         ),
     ]
     for result in tuned.results:
@@ -73,12 +77,33 @@ def report(tuned: Tuned, before: Sequence[dict[str, Any]], after: Sequence[dict[
             f"- Generation {f.generation}, individual {f.individual}: {f.text}"
             for f in result.failures
         ]
-    scenarios = " ".join(task.scenarios)
+    scenarios, worlds = " ".join(task.scenarios), " ".join(task.worlds)
     lines.append(
         f"Made by `python eval/tune.py --controller {task.controller} --scenario {scenarios} "
-        f"--generations {task.generations} --population {task.population} --seed {task.seed}`."
+        f"--worlds {worlds} --seeds {task.seeds} --generations {task.generations} "
+        f"--population {task.population} --seed {task.seed}`."
     )
     return "\n".join(lines) + "\n"
+
+
+def definitions(task: tuning.Task) -> str:
+    """What is driven and what it costs, as one paragraph."""
+    runs = tuning.runs(task, {})
+    scales = {str(run.world): f"{1e3 * driving.scale(run):g} mm in {run.world}" for run in runs}
+    return DEFINITIONS.format(
+        runs=len(runs), first=runs[0].seed, last=runs[-1].seed, course=driving.COURSE,
+        speed=driving.SPEED, steering=driving.STEERING, nervous=driving.NERVOUS,
+        scales=", ".join(scales.values()), lost=driving.LOST, lost2=2.0 * driving.LOST,
+        worst=driving.WORST, plain=driving.PLAIN,
+    )
+
+
+def bounds_sentence(tuned: Tuned) -> str:
+    """Which weights lie on a bound of the search."""
+    if not tuned.on_bounds:
+        return f"No weight ended within {tuning.NEAR:.0%} of its range from a bound."
+    names = ", ".join(tuned.on_bounds)
+    return f"Within {tuning.NEAR:.0%} of its range from a bound: {names}."
 
 
 def save(
@@ -99,11 +124,14 @@ def save(
     task = tuned.task
     record = {
         "tuned_on": list(task.scenarios),
+        "worlds": list(task.worlds),
+        "draws": [run.seed for run in tuning.runs(task, {})],
         "generations": task.generations,
         "population": task.population,
         "seed": task.seed,
         "evaluations": tuned.evaluations,
         "cost": tuned.results[-1].cost,
+        "cost_is": driving.RISK,
         "lpvmpc": versions()["lpvmpc"],
     }
     write_weights(weights, task.controller, tuned.weights, record)
@@ -123,6 +151,9 @@ def as_json(
         "weights": tuned.weights,
         "by_hand": tuned.by_hand,
         "cost": tuned.results[-1].cost,
+        "cost_is": driving.RISK,
+        "on_bounds": list(tuned.on_bounds),
+        "draws": [run.seed for run in tuning.runs(tuned.task, {})],
         "evaluations": tuned.evaluations,
         "budget": tuned.task.budget,
         "before": list(before),
@@ -206,13 +237,14 @@ def _weight_rows(tuned: Tuned) -> list[tuple[str, ...]]:
     return rows
 
 
-def _driven_rows(
-    before: Sequence[dict[str, Any]], after: Sequence[dict[str, Any]]
+def driven_rows(
+    task: tuning.Task, before: Sequence[dict[str, Any]], after: Sequence[dict[str, Any]]
 ) -> list[tuple[str, ...]]:
+    """Each run of a task with the weights set by hand and with the tuned ones."""
     rows: list[tuple[str, ...]] = []
-    for pair in zip(before, after, strict=True):
+    for run, *pair in zip(tuning.runs(task, {}), before, after, strict=True):
         for label, result in zip(("by hand", "tuned"), pair, strict=True):
-            rows.append((result["scenario"], label, *numbers(result)))
+            rows.append((f"{run.label} {run.seed}", label, *numbers(result)))
     return rows
 
 
@@ -224,4 +256,4 @@ def numbers(result: dict[str, Any]) -> tuple[str, str, str, str]:
 
     lateral = f"{text('lateral_rmse_m', '.2f', 1e3)} / {text('lateral_max_m', '.1f', 1e3)}"
     reason = "" if result["completed"] else f"lost: {result['reason']}"
-    return lateral, text("heading_rmse_rad", ".4f"), text("speed_rmse_mps", ".4f"), reason
+    return lateral, text("course_rmse_rad", ".4f"), text("speed_rmse_mps", ".4f"), reason

@@ -1,0 +1,65 @@
+"""What commands share that drive many runs: kept results, wrapped sentences."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lpvmpc.errors import LPVMPCError
+from lpvmpc.kit import cli
+from lpvmpc.kit.progress import Bar
+
+if TYPE_CHECKING:
+    from lpvmpc.sim.batch import Run
+
+
+def prepare(cache: Path, resume: bool, name: str) -> None:
+    """Make the folder of results; empty it, or see that there is something to go on from.
+
+    Args:
+        cache: The folder.
+        resume: Whether to go on from what is there.
+        name: What made it, for the message.
+
+    Raises:
+        LPVMPCError: Nothing to go on from.
+        OutputError: The folder cannot be written.
+    """
+    if resume and not results(cache):
+        raise LPVMPCError(
+            f"--resume needs the results of an earlier {name}, but {str(cache)!r} has none; "
+            "leave --resume out to begin anew."
+        )
+    cli.writable_folder(cache)
+    if not resume:
+        for file in results(cache):
+            file.unlink(missing_ok=True)
+
+
+def results(cache: Path) -> list[Path]:
+    """The kept results: files named by a key, and no others."""
+    return [file for file in cache.glob("*.json") if re.fullmatch(r"[0-9a-f]{32}", file.stem)]
+
+
+def driver(jobs: int, cache: Path, bar: Bar) -> Any:
+    """Makes a function that drives runs under a title, as the packages below want it."""
+    from lpvmpc.sim.batch import drive_all
+
+    def under(title: str) -> Any:
+        def drive(runs: Sequence[Run]) -> list[dict[str, Any]]:
+            bar.begin(title, len(runs))
+            return drive_all(runs, jobs=jobs, cache=cache, progress=lambda done, _: bar.at(done))
+
+        return drive
+
+    return under
+
+
+def wrapped(sentence: str) -> str:
+    """A sentence in lines of 80 columns, numbers kept together with their unit."""
+    kept = re.sub(r"(?<=\d) (?=%|mm)", "\N{NO-BREAK SPACE}", sentence)
+    lines = textwrap.fill(kept, 80, break_on_hyphens=False)
+    return lines.replace("\N{NO-BREAK SPACE}", " ")
