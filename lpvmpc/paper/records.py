@@ -114,8 +114,9 @@ def _history(task: Mapping[str, Any], rows: list[dict[str, str]]) -> tuple[Any, 
             seed=task["seed"],
         )
     )
+    order = [row["search"] for row in rows]  # an older tuning began with the swarm
     found, begin = [], 0
-    for stage in searches:
+    for stage in sorted(searches, key=lambda stage: order.index(stage.method)):
         own = [row for row in rows if row["search"] == stage.method]
         first = stage.settings.population
         step = (stage.settings.evaluations - first) // max(stage.settings.generations, 1)

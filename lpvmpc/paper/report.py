@@ -60,8 +60,8 @@ CAPTIONS = {
     "fig11-computation-time": "Fig. 11. Computation time of our controller.",
     "ablation": "Lateral RMSE from the printed formulas (top) to the full controller (bottom), one "
     "change at a time.",
-    "tuning": "Best cost over the evaluations: a particle swarm for the speed controller first, "
-    "where there is one, then the genetic algorithm.",
+    "tuning": "Best cost over the evaluations: the genetic algorithm, and a particle swarm for the "
+    "speed controller where there is one.",
 }
 """What each picture shows."""
 

@@ -28,7 +28,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -139,6 +139,14 @@ def cost(log: Log, scale: float) -> float:
         + NERVOUS * (rms(change) or 0.0) / log.meta["Ts"]
     ) / scale
     return float(c / (1.0 + c / LOST))
+
+
+def prices() -> dict[str, Any]:
+    """All numbers that decide a cost, for records: a tuning under other ones is another."""
+    return {
+        "scales_m": {**SCALES, "others": OTHER_SCALE}, "course": COURSE, "speed": SPEED,
+        "steering": STEERING, "nervous": NERVOUS, "lost": LOST, "worst": WORST, "plain": PLAIN,
+    }
 
 
 def scale(run: batch.Run) -> float:

@@ -1,10 +1,11 @@
 """What is tuned, where, and by which searches: the weights of every controller, by one budget.
 
 A weight set drives tuning roads in drawn worlds; `driving` says what that costs. The LPV-MPC's
-weights are found by the genetic algorithm. A controller with a PID on its speed has its gains found
-first, by the particle swarm, and then its lateral weights by the genetic algorithm, both within the
-number of evaluations that the LPV-MPC has. Positive weights are searched by their logarithm, since
-they act by ratios. The weights set by hand are among the first population.
+weights are found by the genetic algorithm. A controller with a PID on its speed has its
+lateral weights found first, by the genetic algorithm, and then its gains by the particle swarm,
+both within the number of evaluations that the LPV-MPC has; the other way round the swarm would
+judge gains by runs that are lost beside the line. Positive weights are searched by their logarithm,
+since they act by ratios. The weights set by hand are among the first population.
 """
 
 from __future__ import annotations
@@ -26,9 +27,8 @@ from lpvmpc.kit.files import write_json
 from lpvmpc.sim import batch
 from lpvmpc.sim.names import load_controller
 from lpvmpc.sim.world import load_world
-from lpvmpc.tune import genetic, pso
+from lpvmpc.tune import driving, genetic, pso
 from lpvmpc.tune.checkpoint import Result, State
-from lpvmpc.tune.driving import DrivingCost
 from lpvmpc.tune.search import Map
 from lpvmpc.units import Array
 
@@ -107,6 +107,7 @@ class Task:
             "generations": self.generations,
             "population": self.population,
             "seed": self.seed,
+            "prices": driving.prices(),
             "foundation": batch.foundation(),
         }
 
@@ -180,7 +181,7 @@ def stages(task: Task) -> tuple[Stage, ...]:
     left = task.budget - lateral.evaluations
     particles = min(pso.Settings().population, left)
     swarm = pso.Settings(generations=left // particles - 1, population=particles)
-    return Stage("pso", Space(gains), swarm), Stage("genetic", Space(ranges), lateral)
+    return Stage("genetic", Space(ranges), lateral), Stage("pso", Space(gains), swarm)
 
 
 def _genetic(generations: int, population: int) -> genetic.Settings:
@@ -300,7 +301,7 @@ def tune(
 
         low, high = stage.space.bounds
         result = _search(stage)(
-            DrivingCost(task.controller, runs(task, current), stage.space),
+            driving.DrivingCost(task.controller, runs(task, current), stage.space),
             low,
             high,
             seed=task.seed,
