@@ -212,9 +212,10 @@ def test_a_rival_with_a_better_95th_percentile_is_named_first():
         return {"lpv-mpc": 5.0}.get(cell.controller, 50.0)
 
     first = sentences(found_with(mm))[0]
-    assert first.startswith("A rival has a better 95th percentile than `lpv-mpc`: of the RMSE")
-    assert "`stanley` in `fleet` on paper (4.0 mm against 5.0 mm)" in first
-    assert first.count("`stanley`") == 2 and "pure-pursuit" not in first  # RMSE and largest
+    assert first == (
+        "A rival has a better 95th percentile of the RMSE than `lpv-mpc`: in `fleet` on paper "
+        "(lpv-mpc 5.0 mm) `stanley` 4.0 mm."
+    )
 
 
 def test_where_none_has_that_is_said_first():
@@ -230,12 +231,12 @@ def test_a_lost_run_makes_a_rival_better_and_is_listed():
 
     found = found_with(mm)
     told = sentences(found)
-    assert "`stanley` in `rtk` on paper (5.0 mm against lost)" in told[0]
-    assert told[1].startswith("A rival completes more runs than `lpv-mpc`:")
-    assert "(3 against 2 of 3)" in told[1]
-    assert "`rtk` on paper 1 of 3" in told[2]
+    assert "in `rtk` on paper (lpv-mpc lost)" in told[0] and "`stanley` 5.0 mm" in told[0]
+    assert told[2].startswith("A rival completes more runs than `lpv-mpc`: in `rtk` on paper")
+    assert "(lpv-mpc 2 of 3)" in told[2] and "`stanley` 3" in told[2]
+    assert "`rtk` on paper 1 of 3" in told[3]
     text = worlds_report.report(found, jobs=1, pictures=["worlds.png"])
-    assert f"| {OFF_PATH} " in text.replace("|ey|", "|ey|") and str(FIRST_SEED + 1) in text
+    assert r"| off the path: \|ey\| > 5 m |" in text and str(FIRST_SEED + 1) in text
     assert "2 of 3" in text and "21 to 94 %" in text
     assert "Not driven yet: deviations, margins, adaptation." in text
 
@@ -259,6 +260,20 @@ def test_the_paper_s_claim_follows_from_the_numbers(secant, said, sum_said):
     assert sum_said in in_all
     online = next(s for s in told if "In all, `network` against `network-dry`" in s)
     assert "makes no difference" in online
+
+
+def test_deviations_that_lose_the_car_and_rivals_that_keep_closer_are_told():
+    def mm(cell):
+        if cell.case == "steer-lag-3" and cell.road != "circuit-65":
+            return math.inf if cell.controller == "lpv-mpc" else 40.0
+        return {"lpv-mpc": 1.0}.get(cell.controller, 50.0)
+
+    plan = GridPlan(controllers=("lpv-mpc", "stanley"), roads=("paper", "circuit-65", "circuit-87"))
+    lost, closer = sentences(
+        Found(plan=plan, rows={"deviations": made_up("deviations", mm, plan)})
+    )
+    assert lost.endswith("lose `lpv-mpc`: steering lag x3 (paper, circuit 87 %).")
+    assert closer.endswith("steering lag x3 (paper: `stanley`; circuit 87 %: `stanley`).")
 
 
 def margin(held, failed, who="lpv-mpc", kind=KINDS[0], why="spun"):
@@ -306,8 +321,16 @@ def test_curves_of_the_picture_end_at_the_share_of_completed_runs():
     rows = [row(1.0, seed=1), row(4.0, seed=2), row(2.0, seed=3), row(9.0, seed=4, lost=OFF_PATH)]
     figure = worlds_pictures.shares(rows, lambda cell: cell.controller, ("lpv-mpc", "stanley"))
     (axes,) = figure.axes
+    assert [text.get_text() for text in axes.texts] == [""]
     x, y = axes.lines[0].get_data()
     assert np.allclose(x, [1.0, 1.0, 2.0, 4.0]) and np.allclose(y, [0.0, 0.25, 0.5, 0.75])
+
+
+def test_who_lost_every_run_has_no_curve_and_is_named():
+    rows = [row(1.0, controller="stanley"), row(4.0, lost=OFF_PATH)]
+    figure = worlds_pictures.shares(rows, lambda cell: cell.controller, ("lpv-mpc", "stanley"))
+    (axes,) = figure.axes
+    assert [text.get_text() for text in axes.texts] == ["all lost by\nlpv-mpc"]
 
 
 def test_bars_of_the_picture_are_shares_of_the_range():

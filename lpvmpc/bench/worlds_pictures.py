@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from lpvmpc.bench.margins import Margin
@@ -52,10 +52,10 @@ def shares(rows: Sequence[DrivenCell], who: Callable[[Cell], str], names: Sequen
             for i, name in enumerate(names):
                 _curve(axes, groups.get((world, road, name), ()), i, name)
             axes.set_xscale("log")
+            axes.xaxis.set_major_formatter(lambda value, place: f"{value:g}")
             axes.set_ylim(-0.03, 1.03)
-            if not any((world, road, name) in groups for name in names):
-                axes.text(0.5, 0.5, "not driven", transform=axes.transAxes, ha="center",
-                          color=house.GREY)
+            axes.text(0.5, 0.5, _without(groups, (world, road), names), fontsize=6.0, ha="center",
+                      va="center", transform=axes.transAxes, color=house.GREY)
         axes_of_road[0].set_ylabel(f"{ROADS[road].title}\nshare of runs")
     for axes, world in zip(grid[0], worlds, strict=True):
         axes.set_title(world)
@@ -63,6 +63,18 @@ def shares(rows: Sequence[DrivenCell], who: Callable[[Cell], str], names: Sequen
         axes.set_xlabel("lateral RMSE [mm]")
     _legend(figure, names)
     return figure
+
+
+def _without(
+    groups: Mapping[tuple[str, ...], Sequence[DrivenCell]], where: tuple[str, str],
+    names: Sequence[str],
+) -> str:
+    """Who has no curve in a world on a road: those that lost every run; or nobody drove it."""
+    driven = {name: groups[(*where, name)] for name in names if (*where, name) in groups}
+    lost = [name for name, rows in driven.items() if not any(row.completed for row in rows)]
+    if not driven:
+        return "not driven"
+    return "\n".join(["all lost by", *lost]) if lost else ""
 
 
 def _curve(axes: Any, rows: Sequence[DrivenCell], i: int, name: str) -> None:

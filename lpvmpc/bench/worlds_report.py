@@ -182,7 +182,8 @@ def lost_table(rows: Sequence[DrivenCell]) -> str:
         for reason, count in sorted(reasons.items(), key=lambda item: (-item[1], item[0])):
             seeds = [row.cell.seed for row in lost if str(row.result["reason"]) == reason]
             few = ", ".join(map(str, seeds[:4])) + (", ..." if count > 4 else "")
-            body.append([case, ROADS[road].title, controller, count, reason, few])
+            plain = reason.replace("|", "\\|")  # which would end the cell
+            body.append([case, ROADS[road].title, controller, count, plain, few])
     header = ("world", "road", "controller", "runs", "reason", "seeds")
     words = ("road", "controller", "reason", "seeds")
     return markdown_table("Lost runs in the sampled worlds", header, body, words=words)

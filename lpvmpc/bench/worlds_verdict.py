@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from lpvmpc.bench.margins import Margin
 from lpvmpc.bench.verdict import MATTERS
-from lpvmpc.bench.worlds import ADAPTED, OURS, ROADS, DrivenCell, GridPlan
+from lpvmpc.bench.worlds import ADAPTED, DEVIATIONS, OURS, ROADS, DrivenCell, GridPlan
 from lpvmpc.bench.worlds_stats import Summary, grouped, summaries
 
 COMPARED = (
@@ -71,29 +71,44 @@ def rivals(found: Sequence[Summary]) -> Iterator[str]:
     others = [s for s in found if s.cell.controller != OURS and (s.cell.case, s.cell.road) in ours]
     if not others:
         return
-    better = []
-    for name, of in (("RMSE", lambda s: s.rmse[1]), ("largest error", lambda s: s.largest[1])):
-        where = [
-            f"`{s.cell.controller}` in {place(s)} ({mm(of(s))} against {mm(of(own))})"
-            for s in others
-            if of(s) < of(own := ours[s.cell.case, s.cell.road])
-        ]
+    none = True
+    measures: tuple[tuple[str, Callable[[Summary], float]], ...] = (
+        ("RMSE", lambda s: s.rmse[1]), ("largest error", lambda s: s.largest[1]),
+    )
+    for name, of in measures:
+        where: dict[str, list[str]] = {}
+        for s in others:
+            own = ours[s.cell.case, s.cell.road]
+            if of(s) < of(own):
+                better = where.setdefault(f"{place(s)} ({OURS} {mm(of(own))})", [])
+                better.append(f"`{s.cell.controller}` {mm(of(s))}")
         if where:
-            better.append(f"of the {name} {', '.join(where)}")
-    if better:
-        yield f"A rival has a better 95th percentile than `{OURS}`: {'; '.join(better)}."
-    else:
+            none = False
+            yield (
+                f"A rival has a better 95th percentile of the {name} than `{OURS}`: in "
+                f"{listed(where)}."
+            )
+    if none:
         yield (
             f"No rival has a better 95th percentile than `{OURS}`, neither of the RMSE nor of the "
             "largest error, in any world on any road."
         )
-    more = [
-        f"`{s.cell.controller}` in {place(s)} ({s.completed} against {own.completed} of {s.n})"
-        for s in others
-        if s.completed > (own := ours[s.cell.case, s.cell.road]).completed
-    ]
+    more: dict[str, list[str]] = {}
+    for s in others:
+        own = ours[s.cell.case, s.cell.road]
+        if s.completed > own.completed:
+            there = f"{place(s)} ({OURS} {own.completed} of {own.n})"
+            more.setdefault(there, []).append(f"`{s.cell.controller}` {s.completed}")
     if more:
-        yield f"A rival completes more runs than `{OURS}`: {', '.join(more)}."
+        yield (
+            f"A rival completes more runs than `{OURS}`: in "
+            f"{listed(more)}."
+        )
+
+
+def listed(where: Mapping[str, Sequence[str]]) -> str:
+    """Places, each with who is better there."""
+    return "; ".join(f"{there} {', '.join(who)}" for there, who in where.items())
 
 
 def completion(found: Sequence[Summary]) -> Iterator[str]:
@@ -125,20 +140,28 @@ def deviations(rows: Sequence[DrivenCell]) -> Iterator[str]:
     own = {(r.cell.case, r.cell.road): r for r in rows if r.cell.controller == OURS}
     if not own:
         return
-    lost = [f"{key} on {ROADS[road].title}" for (key, road), r in own.items() if not r.completed]
+    titles = {one.key: one.title for one in DEVIATIONS}
+    lost: dict[str, list[str]] = {}
+    for (case, road), r in own.items():
+        if not r.completed:
+            lost.setdefault(titles[case], []).append(ROADS[road].title)
     if lost:
-        yield f"Alone, with the true state, these deviations lose `{OURS}`: {', '.join(lost)}."
+        parts = [f"{case} ({', '.join(roads)})" for case, roads in lost.items()]
+        yield f"Alone, with the true state, these deviations lose `{OURS}`: {', '.join(parts)}."
     else:
         yield f"No deviation alone loses `{OURS}` on any road."
-    closer: dict[str, list[str]] = {}
+    closer: dict[str, dict[str, list[str]]] = {}
     for r in rows:
         mine = own.get((r.cell.case, r.cell.road))
         if mine is not None and r.ranked("lateral_rmse_m") < mine.ranked("lateral_rmse_m"):
-            where = closer.setdefault(f"{r.cell.case} on {ROADS[r.cell.road].title}", [])
-            where.append(f"`{r.cell.controller}`")
+            roads_of = closer.setdefault(titles[r.cell.case], {})
+            roads_of.setdefault(ROADS[r.cell.road].title, []).append(f"`{r.cell.controller}`")
     if closer:
-        parts = [f"{where} ({' and '.join(who)})" for where, who in closer.items()]
-        yield f"A rival has a smaller RMSE than `{OURS}` with {', '.join(parts)}."
+        parts = [
+            f"{case} ({'; '.join(f'{road}: ' + ', '.join(who) for road, who in roads.items())})"
+            for case, roads in closer.items()
+        ]
+        yield f"Alone, these leave a rival a smaller RMSE than `{OURS}`: {', '.join(parts)}."
 
 
 def margins_said(found: Sequence[Margin]) -> Iterator[str]:
