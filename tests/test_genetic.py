@@ -7,7 +7,7 @@ import pytest
 
 from lpvmpc.errors import OptionError, UnknownNameError
 from lpvmpc.tune import genetic
-from lpvmpc.tune.genetic import Settings, minimise, wheel
+from lpvmpc.tune.genetic import GeneticSettings, minimise, wheel
 
 LOWER, UPPER = [-2.0, 0.0], [2.0, 8.0]
 
@@ -27,7 +27,7 @@ def children(settings, selection="mixed", seed=0, cost=slope, upper=UPPER):
 
 
 def test_the_defaults_are_those_of_the_papers_table_1():
-    s = Settings()
+    s = GeneticSettings()
     assert (s.generations, s.population, s.offspring) == (15, 20, 0.8)
     assert (s.pressure, s.mutation_rate, s.sigma) == (0.75, 0.3, 0.15)
     assert s.pairs == 8  # 80 % of 20 are 16 children
@@ -37,7 +37,7 @@ def test_the_defaults_are_those_of_the_papers_table_1():
     ("population", "offspring", "pairs"), [(10, 0.8, 4), (20, 1.0, 10), (2, 0.8, 1), (7, 0.0, 1)]
 )
 def test_children_come_in_pairs_and_there_is_always_one(population, offspring, pairs):
-    s = Settings(population=population, offspring=offspring, generations=3)
+    s = GeneticSettings(population=population, offspring=offspring, generations=3)
     assert s.pairs == pairs
     assert s.evaluations == population + 6 * pairs
 
@@ -77,7 +77,7 @@ def test_the_infinitely_bad_is_never_drawn():
 @pytest.mark.parametrize("crossover", ["exchange", "blend"])
 @pytest.mark.parametrize("selection", ["roulette", "tournament", "mixed"])
 def test_every_selection_prefers_the_better_parents(selection, crossover):
-    s = Settings(population=1000, offspring=1.0, mutation_rate=0.0, crossover=crossover)
+    s = GeneticSettings(population=1000, offspring=1.0, mutation_rate=0.0, crossover=crossover)
     parents, young = children(s, selection)
     # Without mutation a pair keeps the sum of its parents, so the children's mean is that of the
     # parents drawn. A tournament of two lowers it by 1/sqrt(pi) = 0.56 of a normal's spread, the
@@ -87,7 +87,7 @@ def test_every_selection_prefers_the_better_parents(selection, crossover):
 
 
 def test_a_larger_tournament_is_harder_to_win():
-    s = Settings(population=100, offspring=1.0, mutation_rate=0.0)
+    s = GeneticSettings(population=100, offspring=1.0, mutation_rate=0.0)
     means = [
         np.mean([children(replace(s, rivals=n), "tournament", seed)[1].sum(axis=1).mean()
                  for seed in range(5)])
@@ -101,8 +101,8 @@ def test_a_larger_tournament_is_harder_to_win():
 def test_the_mixed_selection_draws_both_parents_of_a_pair_in_one_way():
     # With this pressure the wheel draws the best alone, here the first, and a tournament of one
     # draws anybody: a pair of parents is two times the best, or two individuals at random.
-    s = Settings(population=50, offspring=1.0, mutation_rate=0.0, crossover="exchange",
-                 pressure=100.0, rivals=1)
+    s = GeneticSettings(population=50, offspring=1.0, mutation_rate=0.0, crossover="exchange",
+                        pressure=100.0, rivals=1)
     both, one = [], []
     for seed in range(10):
         costs = itertools.chain([0.0], itertools.repeat(1.0))
@@ -117,13 +117,13 @@ def test_the_mixed_selection_draws_both_parents_of_a_pair_in_one_way():
 
 
 def test_an_exchange_only_moves_values_of_the_parents():
-    parents, young = children(Settings(mutation_rate=0.0, crossover="exchange"))
+    parents, young = children(GeneticSettings(mutation_rate=0.0, crossover="exchange"))
     for column in range(2):
         assert set(young[:, column]) <= set(parents[:, column])
 
 
 def test_a_blend_stays_within_its_reach_of_the_parents():
-    s = Settings(population=2, offspring=1.0, mutation_rate=0.0, rivals=1)
+    s = GeneticSettings(population=2, offspring=1.0, mutation_rate=0.0, rivals=1)
     beyond = 0.0
     for seed in range(200):
         parents, young = children(s, "tournament", seed)
@@ -137,13 +137,13 @@ def test_a_blend_stays_within_its_reach_of_the_parents():
 
 
 def test_parents_that_agree_have_children_that_agree():
-    s = Settings(mutation_rate=0.0, generations=4)
+    s = GeneticSettings(mutation_rate=0.0, generations=4)
     found = minimise(lambda x: float(x[1]), [0.1, 0.0], [0.1, 1.0], seed=1, settings=s)
     assert {g.individual[0] for g in found.history} == {0.1}
 
 
 def test_the_rate_is_per_variable():
-    s = Settings(population=4000, offspring=1.0, crossover="exchange")
+    s = GeneticSettings(population=4000, offspring=1.0, crossover="exchange")
     parents, young = children(s, "tournament")
     new = np.column_stack([~np.isin(young[:, i], parents[:, i]) for i in range(2)])
     # 4000 children: a standard error of 0.007, four of them.
@@ -153,7 +153,7 @@ def test_the_rate_is_per_variable():
 
 def test_sigma_is_a_fraction_of_each_variables_range_and_bounds_are_kept():
     wide = [2e6, 8.0]
-    s = Settings(population=4000, offspring=1.0, mutation_rate=1.0, rivals=4000, sigma=0.05)
+    s = GeneticSettings(population=4000, offspring=1.0, mutation_rate=1.0, rivals=4000, sigma=0.05)
     parents, young = children(s, "tournament", upper=wide)
     best = parents[np.argmin(parents.sum(axis=1))]  # every child is the best, mutated
     for column, low in enumerate(LOWER):
@@ -178,7 +178,7 @@ def test_a_child_as_good_as_a_parent_replaces_it():
 def test_the_best_of_parents_and_children_survive():
     states, costs = [], []
     minimise(lambda x: costs.append(slope(x)) or costs[-1], LOWER, UPPER, seed=2,
-             settings=Settings(generations=3), after=states.append)
+             settings=GeneticSettings(generations=3), after=states.append)
     pool = costs[:20]
     for state, begin in zip(states[1:], range(20, 68, 16), strict=True):
         pool = sorted(pool + costs[begin : begin + 16])[:20]
@@ -199,13 +199,13 @@ def test_the_best_of_parents_and_children_survive():
 )
 def test_bad_settings_are_one_sentence(name, value, allowed):
     with pytest.raises(OptionError) as error:
-        Settings(**{name: value})
+        GeneticSettings(**{name: value})
     assert str(error.value) == f"{name} is {value!r}, but must be {allowed}."
 
 
 def test_unknown_names_come_with_the_choices():
     with pytest.raises(UnknownNameError, match="crossover 'two'; the choices are blend, exchange"):
-        Settings(crossover="two")
+        GeneticSettings(crossover="two")
     with pytest.raises(UnknownNameError, match="choices are mixed, roulette, tournament"):
         minimise(slope, LOWER, UPPER, seed=0, selection="best")
 

@@ -5,7 +5,7 @@ import pytest
 
 from lpvmpc.errors import OptionError
 from lpvmpc.tune import pso
-from lpvmpc.tune.pso import Settings, minimise
+from lpvmpc.tune.pso import SwarmSettings, minimise
 
 
 def bowl(x):
@@ -20,21 +20,22 @@ def swarm(cost, lower, upper, **options):
 
 
 def test_the_constriction_is_that_of_clerc_and_kennedy():
-    assert Settings().constriction == pytest.approx(0.7298, abs=5e-5)  # as they print it
+    assert SwarmSettings().constriction == pytest.approx(0.7298, abs=5e-5)  # as they print it
     c = 5.0
-    chi = Settings(own=3.0, common=2.0).constriction
+    chi = SwarmSettings(own=3.0, common=2.0).constriction
     assert chi == pytest.approx(2.0 / abs(2.0 - c - math.sqrt(c**2 - 4.0 * c)), rel=1e-15)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_bowl_is_descended_to_its_bottom(seed):
-    result = minimise(bowl, [-5.0] * 3, [5.0] * 3, seed=seed, settings=Settings(generations=150))
+    settings = SwarmSettings(generations=150)
+    result = minimise(bowl, [-5.0] * 3, [5.0] * 3, seed=seed, settings=settings)
     # 150 moves shrink the swarm by far more than this; the cost is its square.
     assert result.cost < 1e-10
 
 
 def test_an_optimum_on_a_bound_is_found_exactly():
-    result = minimise(bowl, [1.0, -5.0], [4.0, 1.0], seed=3, settings=Settings(generations=60))
+    result = minimise(bowl, [1.0, -5.0], [4.0, 1.0], seed=3, settings=SwarmSettings(generations=60))
     assert result.best.tolist() == [1.0, 1.0] and result.cost == 0.0
 
 
@@ -55,7 +56,7 @@ def test_a_particle_comes_back_from_a_bound_with_half_its_speed():
 
 def test_no_swarm_is_caught_on_a_bound(monkeypatch):
     def far(seed):
-        settings = Settings(population=10, generations=80)
+        settings = SwarmSettings(population=10, generations=80)
         lower, upper = [-10.0, -10.0, -1.0, 5.0], [10.0, 10.0, 1.0, 8.0]
         found = minimise(lambda x: float(x @ x), lower, upper, seed=seed, settings=settings)
         return found.cost - 25.0 > 0.5
@@ -67,7 +68,7 @@ def test_no_swarm_is_caught_on_a_bound(monkeypatch):
 
 def test_no_step_is_longer_than_the_range():
     lower, upper = np.array([0.0, -1.0]), np.array([1e-3, 1e6])
-    for state in swarm(bowl, lower, upper, settings=Settings(own=50.0, common=50.0)):
+    for state in swarm(bowl, lower, upper, settings=SwarmSettings(own=50.0, common=50.0)):
         assert (np.abs(state.arrays["speeds"]) <= upper - lower).all()
 
 
@@ -80,7 +81,7 @@ def test_a_particle_remembers_its_best_place():
 
 
 def test_one_particle_is_a_swarm():
-    result = minimise(bowl, [-5.0], [5.0], seed=0, settings=Settings(population=1))
+    result = minimise(bowl, [-5.0], [5.0], seed=0, settings=SwarmSettings(population=1))
     assert result.evaluations == 20
 
 
@@ -95,6 +96,6 @@ def test_one_particle_is_a_swarm():
 )
 def test_bad_settings_are_one_sentence(options, sentence):
     with pytest.raises(OptionError) as error:
-        Settings(**options)
+        SwarmSettings(**options)
     assert str(error.value) == sentence
 

@@ -29,7 +29,7 @@ def short(tmp_path, monkeypatch):
     monkeypatch.setattr(measurements, "STIFFNESS_CASE", "paper")
     monkeypatch.setattr(measurements, "QUICK_SPEEDS", (10.0,))
     monkeypatch.setattr(steering_at_rest, "SPEEDS", (10.0,))
-    settings = genetic.Settings(generations=10, population=10)
+    settings = genetic.GeneticSettings(generations=10, population=10)
     study = sphere.run(seeds=2, settings=settings)
     monkeypatch.setattr(sphere, "run", lambda **options: study)
     monkeypatch.setattr(figures, "DPI", 40)

@@ -68,7 +68,7 @@ def errors(entry, case):
 
 @pytest.fixture(scope="module")
 def study():
-    return sphere.run(seeds=3, settings=genetic.Settings(generations=12, population=10))
+    return sphere.run(seeds=3, settings=genetic.GeneticSettings(generations=12, population=10))
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ import pytest
 
 from lpvmpc.errors import DataError, OptionError
 from lpvmpc.tune import genetic, pso
-from lpvmpc.tune.checkpoint import FORMAT, Generation, State
+from lpvmpc.tune.checkpoint import FORMAT, Generation, SearchState
 from lpvmpc.tune.search import Guarded, summary
 
 LOWER, UPPER = np.array([-3.0, 0.0, 1e-3]), np.array([5.0, 1e6, 2e-3])
@@ -19,8 +19,8 @@ OPTIMUM = np.array([1.0, 4e5, 1e-3])  # the last one lies on its bound
 SCALE = UPPER - LOWER
 
 SEARCHES = {
-    "genetic": (genetic, genetic.Settings(generations=6, population=8)),
-    "pso": (pso, pso.Settings(generations=6, population=8)),
+    "genetic": (genetic, genetic.GeneticSettings(generations=6, population=8)),
+    "pso": (pso, pso.SwarmSettings(generations=6, population=8)),
 }
 
 
@@ -66,7 +66,7 @@ def states(search, cost=bowl, **options):
 
 def sent(state):
     """A state that was written to a file and read again."""
-    return State.from_json(json.loads(json.dumps(state.to_json(), indent=2, allow_nan=False)))
+    return SearchState.from_json(json.loads(json.dumps(state.to_json(), indent=2, allow_nan=False)))
 
 
 def test_the_optimum_of_a_bowl_is_found(search):
@@ -122,7 +122,7 @@ def test_the_evaluations_are_those_that_the_settings_promise(search):
 
 
 def test_both_defaults_have_the_same_budget():
-    assert genetic.Settings().evaluations == pso.Settings().evaluations == 260
+    assert genetic.GeneticSettings().evaluations == pso.SwarmSettings().evaluations == 260
 
 
 def test_the_seed_decides_everything(search):
@@ -296,13 +296,13 @@ def test_a_state_of_the_other_search_is_refused():
 @pytest.mark.parametrize("value", [None, 3, "state", [], {}, {"format": FORMAT, "state": {}}])
 def test_something_else_is_no_state(value):
     with pytest.raises(DataError, match=r"^This is no saved state of a search\.$"):
-        State.from_json(value)
+        SearchState.from_json(value)
 
 
 def test_a_state_of_another_version_is_refused(search):
     value = {**states(search)[1][1].to_json(), "format": FORMAT + 1}
     with pytest.raises(DataError, match=f"has format {FORMAT + 1}; this version reads {FORMAT}"):
-        State.from_json(value)
+        SearchState.from_json(value)
 
 
 def test_a_damaged_state_is_refused(search):
@@ -315,14 +315,14 @@ def test_a_damaged_state_is_refused(search):
     for name, other in paths:
         body = {**value["state"], name: other}
         with pytest.raises(DataError, match=r"is damaged: its checksum is another\.$"):
-            State.from_json({**value, "state": body})
+            SearchState.from_json({**value, "state": body})
     body = dict(value["state"])
     del body["generator"]
     for broken in (body, [], None, 4, {**value["state"], "evaluations": math.nan}):
         with pytest.raises(DataError, match="is damaged"):
-            State.from_json({**value, "state": broken})
+            SearchState.from_json({**value, "state": broken})
     with pytest.raises(DataError, match="is damaged"):
-        State.from_json({**value, "sha256": None})
+        SearchState.from_json({**value, "sha256": None})
 
 
 def test_every_changed_digit_of_a_state_is_noticed(search):
@@ -333,7 +333,7 @@ def test_every_changed_digit_of_a_state_is_noticed(search):
         if json.loads(changed) == json.loads(text):
             continue  # the last digit of a float that rounds to the same
         with pytest.raises((DataError, json.JSONDecodeError)):
-            State.from_json(json.loads(changed))
+            SearchState.from_json(json.loads(changed))
 
 
 @pytest.mark.parametrize(

@@ -22,8 +22,8 @@ from lpvmpc.kit import cli
 from lpvmpc.kit.files import write_json
 
 if TYPE_CHECKING:
-    from lpvmpc.tune.checkpoint import State
-    from lpvmpc.tune.tuning import Stage, Tuned
+    from lpvmpc.tune.checkpoint import SearchState
+    from lpvmpc.tune.tuning import SearchStage, Tuned
 
 
 SPHERE = ("sphere", "generations", "population", "seed", "out", "json")
@@ -143,7 +143,7 @@ class GenerationTable:
             self.live.start()
         return self
 
-    def __call__(self, stage: Stage, state: State) -> None:
+    def __call__(self, stage: SearchStage, state: SearchState) -> None:
         """Called after each generation."""
         last = state.history[-1]
         numbers = (f"{value:.6f}" for value in (last.best, last.mean, last.worst))

@@ -117,7 +117,7 @@ def replacing(folder: str | os.PathLike[str], names: Sequence[str]) -> Iterator[
 
 
 def readable(name: str | os.PathLike[str]) -> str:
-    """The name of a file as text: bytes that are not become the replacement character."""
+    """The name of a file as text; bytes that are no text become the replacement character."""
     return os.fsencode(name).decode("utf-8", "replace")
 
 

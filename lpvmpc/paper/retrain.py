@@ -49,7 +49,7 @@ def tune(task: tuning.Task, folder: Path, jobs: int, say: Say) -> Path:
     checkpoint = folder / "checkpoint.json"
     total = task.budget
 
-    def after(stage: tuning.Stage, state: tuning.State) -> None:
+    def after(stage: tuning.SearchStage, state: tuning.SearchState) -> None:
         say(f"tuning {task.controller}", min(state.evaluations, total), total)
 
     with workers(jobs) as pool:

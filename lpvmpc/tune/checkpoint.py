@@ -65,7 +65,7 @@ class Result:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class State:
+class SearchState:
     """A search after a generation: all that is needed to go on as if nothing had happened."""
 
     method: str
@@ -148,7 +148,7 @@ class State:
         return {"format": FORMAT, "sha256": _digest(body), "state": body}
 
     @classmethod
-    def from_json(cls, value: object) -> State:
+    def from_json(cls, value: object) -> SearchState:
         """The state from what `to_json` gave.
 
         Raises:

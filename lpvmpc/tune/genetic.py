@@ -40,7 +40,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lpvmpc.errors import UnknownNameError
-from lpvmpc.tune.checkpoint import Result, State, frozen
+from lpvmpc.tune.checkpoint import Result, SearchState, frozen
 from lpvmpc.tune.search import (
     Cost,
     Map,
@@ -62,7 +62,7 @@ METHOD = "genetic"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings:
+class GeneticSettings:
     """Parameters of the genetic algorithm; those of Table 1 unless said otherwise."""
 
     generations: int = 15
@@ -114,12 +114,12 @@ def minimise(
     upper: npt.ArrayLike,
     *,
     seed: int,
-    settings: Settings | None = None,
+    settings: GeneticSettings | None = None,
     selection: Selection = "mixed",
     map: Map = map,
     start: npt.ArrayLike | None = None,
-    state: State | None = None,
-    after: Callable[[State], None] | None = None,
+    state: SearchState | None = None,
+    after: Callable[[SearchState], None] | None = None,
 ) -> Result:
     """Minimise a function within bounds.
 
@@ -145,7 +145,7 @@ def minimise(
         UnknownNameError: No such selection.
         DataError: The state is of another search.
     """
-    settings = settings or Settings()
+    settings = settings or GeneticSettings()
     low, high = check_bounds(lower, upper)
     check_count("seed", seed, 0, 2**63 - 1)
     if selection not in get_args(Selection):
@@ -155,7 +155,9 @@ def minimise(
     return search.run(partial(_advance, search, settings, selection), state, after, start=start)
 
 
-def _advance(search: Search, settings: Settings, selection: Selection, state: State) -> State:
+def _advance(
+    search: Search, settings: GeneticSettings, selection: Selection, state: SearchState
+) -> SearchState:
     """One generation: pairs of parents, their children, and the best of both."""
     rng = state.rng()
     individuals, costs = state.arrays["individuals"], state.arrays["costs"]
@@ -224,7 +226,7 @@ def _tournament(rng: np.random.Generator, costs: Array, rivals: int) -> int:
 
 
 def _cross(
-    rng: np.random.Generator, one: Array, other: Array, settings: Settings
+    rng: np.random.Generator, one: Array, other: Array, settings: GeneticSettings
 ) -> tuple[Array, Array]:
     """Two children of two parents, each variable decided on its own."""
     if settings.crossover == "exchange":
@@ -236,7 +238,7 @@ def _cross(
 
 
 def _mutate(
-    rng: np.random.Generator, children: Array, lower: Array, upper: Array, settings: Settings
+    rng: np.random.Generator, children: Array, lower: Array, upper: Array, settings: GeneticSettings
 ) -> Array:
     """Children with some variables moved, put back within the bounds; shape (k, n)."""
     moved = rng.random(children.shape) < settings.mutation_rate

@@ -33,7 +33,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lpvmpc.errors import OptionError
-from lpvmpc.tune.checkpoint import Result, State, frozen
+from lpvmpc.tune.checkpoint import Result, SearchState, frozen
 from lpvmpc.tune.search import (
     Cost,
     Map,
@@ -54,7 +54,7 @@ METHOD = "pso"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings:
+class SwarmSettings:
     """Parameters of the particle swarm."""
 
     generations: int = 19
@@ -93,11 +93,11 @@ def minimise(
     upper: npt.ArrayLike,
     *,
     seed: int,
-    settings: Settings | None = None,
+    settings: SwarmSettings | None = None,
     map: Map = map,
     start: npt.ArrayLike | None = None,
-    state: State | None = None,
-    after: Callable[[State], None] | None = None,
+    state: SearchState | None = None,
+    after: Callable[[SearchState], None] | None = None,
 ) -> Result:
     """Minimise a function within bounds.
 
@@ -121,7 +121,7 @@ def minimise(
         OptionError: Bounds, seed or start make no sense.
         DataError: The state is of another search.
     """
-    settings = settings or Settings()
+    settings = settings or SwarmSettings()
     low, high = check_bounds(lower, upper)
     check_count("seed", seed, 0, 2**63 - 1)
     record = record_of(settings, seed=seed)
@@ -134,7 +134,7 @@ def _at_rest(places: Array) -> dict[str, Array]:
     return {"places": places, "speeds": np.zeros_like(places)}
 
 
-def _advance(search: Search, settings: Settings, state: State) -> State:
+def _advance(search: Search, settings: SwarmSettings, state: SearchState) -> SearchState:
     """One move of the swarm."""
     rng, lower, upper = state.rng(), state.lower, state.upper
     best, costs = np.array(state.arrays["individuals"]), np.array(state.arrays["costs"])

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lpvmpc.errors import OptionError
-from lpvmpc.tune.checkpoint import Failure, Generation, Result, State, frozen
+from lpvmpc.tune.checkpoint import Failure, Generation, Result, SearchState, frozen
 from lpvmpc.units import Array
 
 Cost = Callable[[Array], float]
@@ -122,7 +122,7 @@ class Search:
 
     def begin(
         self, start: npt.ArrayLike | None, more: Callable[[Array], dict[str, Array]]
-    ) -> State:
+    ) -> SearchState:
         """Draw and evaluate the first population.
 
         Args:
@@ -134,7 +134,7 @@ class Search:
         given = check_start(start, self.lower, self.upper, population)
         individuals = first_population(rng, self.lower, self.upper, population, given)
         costs, failures = evaluate(self.cost, individuals, self.map, 0)
-        return State(
+        return SearchState(
             method=self.method,
             settings=self.settings,
             lower=self.lower,
@@ -152,9 +152,9 @@ class Search:
 
     def run(
         self,
-        advance: Callable[[State], State],
-        state: State | None,
-        after: Callable[[State], None] | None,
+        advance: Callable[[SearchState], SearchState],
+        state: SearchState | None,
+        after: Callable[[SearchState], None] | None,
         *,
         start: npt.ArrayLike | None = None,
         more: Callable[[Array], dict[str, Array]] = lambda _: {},

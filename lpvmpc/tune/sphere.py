@@ -25,7 +25,7 @@ from lpvmpc.units import Array
 LOWER = (-10.0, -10.0, -5.0, -1.0, 5.0)
 UPPER = (10.0, 10.0, 5.0, 1.0, 8.0)
 """Bounds of the authors' code."""
-SETTINGS = genetic.Settings(generations=100, population=10)
+SETTINGS = genetic.GeneticSettings(generations=100, population=10)
 """Those of Fig. 6; the rest is Table 1."""
 SEEDS = 30
 """Runs of each selection."""
@@ -78,7 +78,7 @@ class Runs:
 class Study:
     """All runs of the study."""
 
-    settings: genetic.Settings
+    settings: genetic.GeneticSettings
     """What they have in common."""
     selections: tuple[Runs, ...]
     """One for each selection."""
@@ -105,7 +105,7 @@ class Comparison:
 def run(
     seed: int = 0,
     seeds: int = SEEDS,
-    settings: genetic.Settings = SETTINGS,
+    settings: genetic.GeneticSettings = SETTINGS,
     say: Callable[[str], None] = lambda text: None,
 ) -> Study:
     """Run the study.
@@ -131,7 +131,7 @@ def run(
     )
 
 
-def search(selection: Selection, settings: genetic.Settings, seeds: tuple[int, ...]) -> Runs:
+def search(selection: Selection, settings: genetic.GeneticSettings, seeds: tuple[int, ...]) -> Runs:
     """Minimise the sphere function from each seed."""
     rows = []
     for seed in seeds:

@@ -28,7 +28,7 @@ from lpvmpc.sim import batch
 from lpvmpc.sim.names import load_controller
 from lpvmpc.sim.world import load_world
 from lpvmpc.tune import driving, genetic, pso
-from lpvmpc.tune.checkpoint import Result, State
+from lpvmpc.tune.checkpoint import Result, SearchState
 from lpvmpc.tune.search import Map
 from lpvmpc.units import Array
 
@@ -154,18 +154,18 @@ class Space:
 
 
 @dataclass(frozen=True)
-class Stage:
+class SearchStage:
     """One search among the weights."""
 
     method: str
     """"genetic" or "pso"."""
     space: Space
     """What it searches."""
-    settings: genetic.Settings | pso.Settings
+    settings: genetic.GeneticSettings | pso.SwarmSettings
     """How."""
 
 
-def stages(task: Task) -> tuple[Stage, ...]:
+def stages(task: Task) -> tuple[SearchStage, ...]:
     """The searches of a task, in their order; together they stay within its budget."""
     weights = _by_hand(task.controller)
     ranges = {
@@ -176,16 +176,16 @@ def stages(task: Task) -> tuple[Stage, ...]:
     gains = {name: ranges.pop(name) for name in PID_GAINS if name in ranges}
     if not gains:
         settings = _genetic(task.generations, task.population)
-        return (Stage("genetic", Space(ranges), settings),)
+        return (SearchStage("genetic", Space(ranges), settings),)
     lateral = _genetic(task.generations // 2, task.population)
     left = task.budget - lateral.evaluations
-    particles = min(pso.Settings().population, left)
-    swarm = pso.Settings(generations=left // particles - 1, population=particles)
-    return Stage("genetic", Space(ranges), lateral), Stage("pso", Space(gains), swarm)
+    particles = min(pso.SwarmSettings().population, left)
+    swarm = pso.SwarmSettings(generations=left // particles - 1, population=particles)
+    return SearchStage("genetic", Space(ranges), lateral), SearchStage("pso", Space(gains), swarm)
 
 
-def _genetic(generations: int, population: int) -> genetic.Settings:
-    return genetic.Settings(generations=generations, population=population)
+def _genetic(generations: int, population: int) -> genetic.GeneticSettings:
+    return genetic.GeneticSettings(generations=generations, population=population)
 
 
 def _by_hand(controller: str) -> Any:
@@ -269,7 +269,7 @@ def tune(
     map: Map = map,
     checkpoint: str | os.PathLike[str] | None = None,
     resume: bool = False,
-    after: Callable[[Stage, State], None] | None = None,
+    after: Callable[[SearchStage, SearchState], None] | None = None,
 ) -> Tuned:
     """Tune a controller.
 
@@ -291,7 +291,7 @@ def tune(
     current, results = dict(by_hand), []
     for i, stage in enumerate(stages(task)):
 
-        def keep(state: State, i: int = i, stage: Stage = stage) -> None:
+        def keep(state: SearchState, i: int = i, stage: SearchStage = stage) -> None:
             states[i:] = [state]
             if file is not None:
                 saved = [one.to_json() for one in states]
@@ -320,11 +320,11 @@ def tune(
     return Tuned(task=task, by_hand=by_hand, weights=current, results=tuple(results))
 
 
-def _search(stage: Stage) -> Callable[..., Result]:
+def _search(stage: SearchStage) -> Callable[..., Result]:
     return genetic.minimise if stage.method == "genetic" else pso.minimise
 
 
-def _read(file: Path, task: Task) -> list[State]:
+def _read(file: Path, task: Task) -> list[SearchState]:
     """The states of the stages in a checkpoint.
 
     Raises:
@@ -353,6 +353,6 @@ def _read(file: Path, task: Task) -> list[State]:
                           if k != "foundation")
         raise DataError(f"The checkpoint {name} was made with {shown}.")
     try:
-        return [State.from_json(state) for state in value["stages"]]
+        return [SearchState.from_json(state) for state in value["stages"]]
     except DataError as error:
         raise DataError(f"The checkpoint {name} is damaged: {error}") from error

@@ -14,7 +14,7 @@ from lpvmpc.kit.provenance import commit, machine, versions
 from lpvmpc.kit.report import csv_text, record
 from lpvmpc.tune import driving, tuning
 from lpvmpc.tune.checkpoint import Result
-from lpvmpc.tune.tuning import Stage, Tuned
+from lpvmpc.tune.tuning import SearchStage, Tuned
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -207,17 +207,17 @@ def draw(tuned: Tuned) -> Figure:
     return figure
 
 
-def _searches(tuned: Tuned) -> list[tuple[Stage, Result]]:
+def _searches(tuned: Tuned) -> list[tuple[SearchStage, Result]]:
     return list(zip(tuning.stages(tuned.task), tuned.results, strict=True))
 
 
-def _evaluations(stage: Stage) -> tuple[int, int]:
+def _evaluations(stage: SearchStage) -> tuple[int, int]:
     """Evaluations of the first population and of each further generation."""
     total, first = stage.settings.evaluations, stage.settings.population
     return first, (total - first) // max(stage.settings.generations, 1)
 
 
-def _search_row(stage: Stage, result: Result) -> tuple[object, ...]:
+def _search_row(stage: SearchStage, result: Result) -> tuple[object, ...]:
     settings, history = stage.settings, result.history
     return (
         SEARCHES[stage.method], len(stage.space.ranges), settings.population,
