@@ -19,10 +19,6 @@ OFF = 0.3
 """A largest lateral error beyond this is too much [m]."""
 ROAD = "circuit-65"
 """Road on which margins are measured."""
-STEPS = 8
-"""Steps outwards from nothing to the end of the range."""
-HALVINGS = 4
-"""Bisections between the last step that held and the first that did not."""
 NOISE_SEEDS = 5
 """Seeds with each of which a car must hold, where noise is drawn."""
 
@@ -164,29 +160,19 @@ def failure(result: Mapping[str, Any]) -> str:
     return "" if float(result["lateral_max_m"]) <= OFF else f"more than {OFF:g} m off"
 
 
-def margins(
-    plan: GridPlan,
-    drive: Drive,
-    kinds: Sequence[MarginKind] = KINDS,
-    steps: int = STEPS,
-    halvings: int = HALVINGS,
-) -> list[Margin]:
+def margins(plan: GridPlan, drive: Drive) -> list[Margin]:
     """Search all margins of all controllers, side by side.
 
     Args:
-        plan: Who drives; a quick look takes half the steps, and one bisection.
+        plan: Who drives, and how finely is searched.
         drive: Drives the runs of one round.
-        kinds: What is made wrong.
-        steps: Steps from nothing to the end of each range.
-        halvings: Bisections after them.
     """
-    if plan.quick:
-        steps, halvings = steps // 2, 1
-    searches = [_MarginSearch(kind, controller, plan) for kind in kinds for controller in
-                plan.controllers]
-    shares = [i / steps for i in range(steps + 1)]
+    searches = [
+        _MarginSearch(kind, controller, plan) for kind in KINDS for controller in plan.controllers
+    ]
+    shares = [i / plan.margin_steps for i in range(plan.margin_steps + 1)]
     _round([(search, share) for search in searches for share in shares], drive)
-    for _ in range(halvings):
+    for _ in range(plan.margin_halvings):
         between = [(search, search.middle()) for search in searches]
         _round([(search, share) for search, share in between if share is not None], drive)
     return [search.margin() for search in searches]
@@ -200,9 +186,9 @@ def _round(asked: Sequence[tuple[_MarginSearch, float]], drive: Drive) -> None:
         search.learn(share, [DrivenCell(cell=cell, result=next(results)) for cell, _ in runs])
 
 
-def finest(kind: MarginKind, steps: int = STEPS, halvings: int = HALVINGS) -> str:
+def finest(kind: MarginKind, plan: GridPlan) -> str:
     """How fine a margin is, as it is printed."""
-    share = 1.0 / (steps * 2**halvings)
+    share = 1.0 / (plan.margin_steps * 2**plan.margin_halvings)
     if kind.geometric:
         return f"x{(kind.end / kind.none) ** share:.3g}"
     return f"{abs(kind.end - kind.none) * share:.2g} {kind.unit}"

@@ -197,6 +197,10 @@ class GridPlan:
     """Seeds of each sampled world."""
     roads: tuple[str, ...] = tuple(ROADS)
     """Keys of the roads that are kept."""
+    margin_steps: int = 8
+    """Steps outwards from nothing to the end of what a margin tries."""
+    margin_halvings: int = 4
+    """Bisections between the last step that held and the first that did not."""
     quick: bool = False
     """Whether this is a look, not the report."""
 
@@ -205,7 +209,8 @@ class GridPlan:
         return range(FIRST_SEED, FIRST_SEED + min(self.seeds, world.most_seeds))
 
 
-QUICK = {"seeds": 4, "roads": ("paper", "circuit-65"), "quick": True}
+QUICK = {"seeds": 4, "roads": ("paper", "circuit-65"), "margin_steps": 4, "margin_halvings": 1,
+         "quick": True}
 """What differs in a quick look."""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -52,6 +53,8 @@ def shares(rows: Sequence[DrivenCell], who: Callable[[Cell], str], names: Sequen
             for i, name in enumerate(names):
                 _curve(axes, groups.get((world, road, name), ()), i, name)
             axes.set_xscale("log")
+            axes.set_xlim(*_decades([1e3 * row.rmse for row in rows if row.completed]))
+            axes.xaxis.set_minor_formatter("")
             axes.xaxis.set_major_formatter(lambda value, place: f"{value:g}")
             axes.set_ylim(-0.03, 1.03)
             axes.text(0.5, 0.5, _without(groups, (world, road), names), fontsize=6.0, ha="center",
@@ -63,6 +66,12 @@ def shares(rows: Sequence[DrivenCell], who: Callable[[Cell], str], names: Sequen
         axes.set_xlabel("lateral RMSE [mm]")
     _legend(figure, names)
     return figure
+
+
+def _decades(values: Sequence[float]) -> tuple[float, float]:
+    """The powers of ten about all values."""
+    low, high = min(values, default=1.0), max(values, default=10.0)
+    return 10.0 ** math.floor(math.log10(low)), 10.0 ** math.ceil(math.log10(high) + 1e-9)
 
 
 def _without(
@@ -125,6 +134,6 @@ def bars(found: Sequence[Margin]) -> Figure:
         axes.set_yticks(range(len(names)), names if i % columns == 0 else [""] * len(names))
         axes.invert_yaxis()
         axes.grid(False, axis="y")
-        axes.set_title(kind.title)
+        axes.set_title(kind.title.replace("`", ""))
         axes.set_xlabel(kind.unit)
     return figure

@@ -9,8 +9,9 @@ from dataclasses import asdict
 from typing import Any
 
 from lpvmpc.bench.cases import CHARGE
-from lpvmpc.bench.margins import HALVINGS, NOISE_SEEDS, OFF, STEPS, Margin, finest
+from lpvmpc.bench.margins import NOISE_SEEDS, OFF, Margin, finest
 from lpvmpc.bench.report import cell, short, weights
+from lpvmpc.bench.verdict import MATTERS
 from lpvmpc.bench.worlds import (
     COMBINED,
     DEVIATION_ROADS,
@@ -24,10 +25,11 @@ from lpvmpc.bench.worlds import (
     SAMPLED,
     TUNING_SEEDS,
     DrivenCell,
+    GridPlan,
 )
 from lpvmpc.bench.worlds_bars import bars
 from lpvmpc.bench.worlds_stats import Summary, grouped
-from lpvmpc.bench.worlds_verdict import Found, margin_text, sentences
+from lpvmpc.bench.worlds_verdict import RESOLVED, Found, comparisons, margin_text, sentences
 from lpvmpc.kit.findings import promises_sentence, promises_table
 from lpvmpc.kit.markdown import markdown_table
 from lpvmpc.kit.provenance import machine
@@ -57,7 +59,8 @@ that of the car, run by run.
 end and was never more than {off:g} m off. {steps} steps outwards over a range, then {halvings} \
 bisections between the last that held and the first that did not; noise must hold with each of \
 {noise} seeds.
-- Two errors count as different where their ratio is at least 1.1.
+- Errors of two stiffness models count as different where one is at least {matters:g} times the \
+other and {resolved:g} mm more, a hundredth of the noise of a good position sensor.
 """
 
 
@@ -83,8 +86,9 @@ def report(found: Found, *, jobs: int, pictures: Sequence[str]) -> str:
         f"model; tuning uses seeds below {TUNING_SEEDS}, so none of these. {len(rows)} runs.",
         *([f"Not driven yet: {', '.join(missing)}."] if missing else []),
         "",
-        DEFINITIONS.format(weights=weights(), off=OFF, steps=STEPS, halvings=HALVINGS,
-                           noise=NOISE_SEEDS),
+        DEFINITIONS.format(weights=weights(), off=OFF, steps=plan.margin_steps,
+                           halvings=plan.margin_halvings,
+                           noise=NOISE_SEEDS, matters=MATTERS, resolved=1e3 * RESOLVED),
         "## Verdict",
         "",
         *(f"- {sentence}" for sentence in sentences(found)),
@@ -94,7 +98,7 @@ def report(found: Found, *, jobs: int, pictures: Sequence[str]) -> str:
         "",
         *_worlds(found, pictures),
         *_deviations(found.rows.get("deviations", ())),
-        *_margins(found.margins, pictures),
+        *_margins(found, pictures),
         *_adaptation(found, pictures),
         "## Limits",
         "",
@@ -218,11 +222,11 @@ def _deviations(rows: Sequence[DrivenCell]) -> Iterable[str]:
 # Margins ------------------------------------------------------------------------------------------
 
 
-def _margins(found: Sequence[Margin] | None, pictures: Sequence[str]) -> Iterable[str]:
-    if not found:
+def _margins(found: Found, pictures: Sequence[str]) -> Iterable[str]:
+    if not found.margins:
         return
     yield "## Margins\n"
-    yield margins_table(found)
+    yield margins_table(found.margins, found.plan)
     yield (
         f"\"at least\": the end of what was tried held. After the value: what ended it, \"{OFF:g} "
         "m\" where the car reached the end but was once further off; \"refused\" where there is no "
@@ -233,13 +237,13 @@ def _margins(found: Sequence[Margin] | None, pictures: Sequence[str]) -> Iterabl
         yield "An arrow: at least so much.\n"
 
 
-def margins_table(found: Sequence[Margin]) -> str:
+def margins_table(found: Sequence[Margin], plan: GridPlan) -> str:
     """One line for each kind, one column for each controller."""
     controllers = list(dict.fromkeys(m.controller for m in found))
     table = {(m.kind.key, m.controller): m for m in found}
     kinds = list(dict.fromkeys(m.kind for m in found))
     body = [
-        [f"{kind.title} [{kind.unit}]", finest(kind),
+        [f"{kind.title} [{kind.unit}]", finest(kind, plan),
          *(_margin(table[kind.key, who]) for who in controllers)]
         for kind in kinds
     ]
@@ -269,6 +273,15 @@ def _adaptation(found: Found, pictures: Sequence[str]) -> Iterable[str]:
     for key in dict.fromkeys(s.cell.case for s in found.adaptation):
         here = [s for s in found.adaptation if s.cell.case == key]
         yield summary_table(f"Stiffness models in `{key}`", here, lambda s: [s.cell.model])
+    body = [
+        [f"`{one.model}` for `{one.than}`", one.case, ROADS[one.road].title,
+         in_mm(one.errors[0]), in_mm(one.errors[1]), one.word,
+         f"{one.seeds[0]} / {one.seeds[1]} of {one.n}", f"{one.lost[0]} / {one.lost[1]}"]
+        for one in comparisons(found)
+    ]
+    header = ("model", "world", "road", "95th", "of the other", "it", "better / worse", "lost")
+    title = "One stiffness model in place of another: 95th percentile of the RMSE [mm]"
+    yield markdown_table(title, header, body, words=("world", "road", "it"))
     if "worlds-adaptation.png" in pictures:
         yield "![Share of runs below an error, by stiffness model](worlds-adaptation.png)\n"
 

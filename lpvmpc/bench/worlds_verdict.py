@@ -199,61 +199,101 @@ def margin_text(margin: Margin) -> str:
     return f"{to} {margin.held:.3g} {margin.kind.unit}"
 
 
-def adaptation(found: Found) -> Iterator[str]:
-    """What each stiffness model is worth against another, world by world."""
+HELPS, HURTS, ALIKE = "helps", "hurts", "changes nothing that matters"
+BOTH_LOST = "loses the car too"
+"""What one stiffness model does in place of another."""
+RESOLVED = 1e-4
+"""Errors that differ by less are alike [m]: a hundredth of the noise of a good position sensor."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """One stiffness model in place of another, in one world on one road."""
+
+    model: str
+    """Who drove."""
+    than: str
+    """In whose place."""
+    case: str
+    """The world."""
+    road: str
+    """Key of the road."""
+    errors: tuple[float, float]
+    """95th percentile of the RMSE of the two [m], infinite for a lost car."""
+    seeds: tuple[int, int]
+    """With how many seeds the RMSE is better, and worse."""
+    n: int
+    """Number of seeds."""
+    lost: tuple[int, int]
+    """Lost runs of the two."""
+
+    @property
+    def word(self) -> str:
+        """What it does."""
+        return compared(*self.errors)
+
+
+def comparisons(found: Found) -> list[Comparison]:
+    """All comparisons of `COMPARED`, seed by seed, where both were driven."""
     table = {(s.cell.case, s.cell.road, s.cell.model): s for s in found.adaptation}
     runs = grouped(found.rows.get("adaptation", ()), lambda c: (c.case, c.road, c.model))
-    for model, than, what in COMPARED:
-        won: list[int] = []
+    all_of_them = []
+    for model, than, _ in COMPARED:
         for case in ADAPTED:
-            parts = []
             for road in ROADS:
                 a, b = table.get((case, road, model)), table.get((case, road, than))
                 if a is None or b is None:
                     continue
-                verdict = compared(a.rmse[1], b.rmse[1])
-                won.append(verdict)
                 pairs = zip(runs[case, road, model], runs[case, road, than], strict=True)
                 each = [compared(x.ranked("lateral_rmse_m"), y.ranked("lateral_rmse_m"))
                         for x, y in pairs]
-                word = {1: "helps", -1: "hurts", 0: "changes nothing that matters"}[verdict]
-                lost = [s.n - s.completed for s in (a, b)]
-                parts.append(
-                    f"{ROADS[road].title} it {word} ({mm(a.rmse[1])} against {mm(b.rmse[1])}; "
-                    f"better in {each.count(1)}, worse in {each.count(-1)} of {len(each)} seeds"
-                    + (f"; lost {lost[0]} against {lost[1]})" if any(lost) else ")")
+                one = Comparison(
+                    model=model, than=than, case=case, road=road, errors=(a.rmse[1], b.rmse[1]),
+                    seeds=(each.count(HELPS), each.count(HURTS)), n=len(each),
+                    lost=(a.n - a.completed, b.n - b.completed),
                 )
-            if parts:
-                yield (
-                    f"`{model}` against `{than}` ({what}) in `{case}`, 95th percentile of the "
-                    f"RMSE: on {', on '.join(parts)}."
-                )
-        if won:
-            yield (
-                f"In all, `{model}` against `{than}` ({what}) {judged(won)}: it helps in "
-                f"{won.count(1)}, hurts in {won.count(-1)} and changes nothing that matters in "
-                f"{won.count(0)} of {len(won)} worlds and roads."
-            )
+                all_of_them.append(one)
+    return all_of_them
 
 
-def compared(error: float, other: float) -> int:
-    """1 where an error is smaller than the other by what matters, -1 where larger, else 0.
+def adaptation(found: Found) -> Iterator[str]:
+    """What each stiffness model is worth against another, world by world."""
+    for model, than, what in COMPARED:
+        here = [one for one in comparisons(found) if (one.model, one.than) == (model, than)]
+        if not here:
+            continue
+        parts = []
+        for case in dict.fromkeys(one.case for one in here):
+            words: dict[str, list[str]] = {}
+            for one in here:
+                if one.case == case:
+                    errors = " against ".join(map(mm, one.errors))
+                    words.setdefault(one.word, []).append(f"{ROADS[one.road].title} ({errors})")
+            said = ", ".join(f"it {word} on {', '.join(roads)}" for word, roads in words.items())
+            parts.append(f"in `{case}` {said}")
+        yield (
+            f"`{model}` in place of `{than}` ({what}) {judged([one.word for one in here])}; by the "
+            f"95th percentile of the RMSE: {'; '.join(parts)}."
+        )
 
-    Two infinite ones, lost cars, are alike.
-    """
-    if error == other:
-        return 0
-    return 1 if error * MATTERS <= other else -1 if other * MATTERS <= error else 0
+
+def compared(error: float, other: float) -> str:
+    """What an error does in place of the other; infinite ones are lost cars."""
+    if math.isinf(error) and math.isinf(other):
+        return BOTH_LOST
+    if abs(error - other) < RESOLVED:
+        return ALIKE
+    return HELPS if error * MATTERS <= other else HURTS if other * MATTERS <= error else ALIKE
 
 
-def judged(won: Sequence[int]) -> str:
-    """Several comparisons in a word."""
-    better, worse = won.count(1), won.count(-1)
-    if better and not worse:
-        return "is worth it"
-    if better > worse:
-        return "is worth it more often than not"
-    return "is not worth it" if worse else "makes no difference"
+def judged(words: Sequence[str]) -> str:
+    """Several comparisons in one."""
+    better, worse = words.count(HELPS), words.count(HURTS)
+    if not better and not worse:
+        return f"makes no difference in any of {len(words)} worlds and roads"
+    kind = "pays" if better > worse else "costs" if worse > better else "pays as often as it costs"
+    counts = f"{better} times it helps, {worse} times it hurts"
+    return f"{kind}: of {len(words)} worlds and roads {counts}"
 
 
 def place(s: Summary) -> str:
