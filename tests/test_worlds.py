@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from lpvmpc.bench import margins as margin_search
 from lpvmpc.bench import worlds, worlds_pictures
 from lpvmpc.bench.margins import KINDS
+from lpvmpc.sim import batch
 
 COMMAND = "worlds"
 
@@ -69,6 +70,15 @@ def test_the_same_numbers_whatever_the_jobs(run, short, tmp_path, monkeypatch):
         assert run(*arguments, "--jobs", jobs)[0] == 0
         tables.append((out / "worlds.csv").read_bytes())
     assert tables[0] == tables[1]
+
+
+def test_an_interrupted_run_says_how_to_go_on(run, short, monkeypatch):
+    def interrupted(one):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(batch, "drive", interrupted)
+    code, out, err = run("--quick", "--jobs", "1", "--parts", "worlds")
+    assert (code, out, err) == (130, "", "Interrupted; --resume goes on from here.\n")
 
 
 @pytest.mark.parametrize(

@@ -84,6 +84,17 @@ def test_deviations_are_what_their_titles_say():
     assert by_key["nominal"].latency is None and by_key["nominal"].deviations == {}
 
 
+def test_a_stiffness_model_drives_with_all_its_options(monkeypatch):
+    softer = worlds.DrivenModel(
+        about="a softer one", options={"stiffness": "constant", "stiffness_scale": 0.9}
+    )
+    monkeypatch.setitem(worlds.MODELS, "constant-best", softer)
+    asked = [run_of(cell) for cell in CELLS["adaptation"](GridPlan(seeds=1))
+             if cell.model == "constant-best"]
+    assert {run.world for run in asked} == {"ideal", "rtk", "fleet"}
+    assert all(run.controller_options == softer.options for run in asked)
+
+
 def test_all_worlds_and_shipped_controllers_are_driven_with_the_same_seeds():
     cells = CELLS["worlds"](GridPlan(seeds=20))
     assert {cell.case for cell in cells} == {*WORLDS, "combined"}
@@ -97,7 +108,7 @@ def test_all_worlds_and_shipped_controllers_are_driven_with_the_same_seeds():
 
 
 def test_the_stiffness_models_are_the_package_s():
-    assert set(MODELS) <= set(STIFFNESS_MODELS)
+    assert {model.options["stiffness"] for model in MODELS.values()} <= set(STIFFNESS_MODELS)
     assert {name for pair in worlds_verdict.COMPARED for name in pair[:2]} <= set(MODELS)
 
 

@@ -171,13 +171,34 @@ SAMPLED = {
 
 # Adaptation ---------------------------------------------------------------------------------------
 
+@dataclass(frozen=True, kw_only=True)
+class DrivenModel:
+    """A stiffness model that drives `lpv-mpc` here."""
+
+    about: str
+    """What it is, for the report."""
+    options: Mapping[str, Any]
+    """Options of the controller: its `stiffness`, and what else makes it, as a file or a scale."""
+
+
 MODELS = {
-    "constant": "the nominal stiffness, always",
-    "network-secant": "the paper's network: force over slip angle, predicted from the motion",
-    "network-dry": "our network without online learning: the road is taken to be dry",
-    "network": "our network with online learning of what the road and the car give",
+    "constant": DrivenModel(
+        about="the nominal stiffness, always", options={"stiffness": "constant"}
+    ),
+    "network-secant": DrivenModel(
+        about="the paper's network: force over slip angle, predicted from the motion",
+        options={"stiffness": "network-secant"},
+    ),
+    "network-dry": DrivenModel(
+        about="our network without online learning: the road is taken to be dry",
+        options={"stiffness": "network-dry"},
+    ),
+    "network": DrivenModel(
+        about="our network with online learning of what the road and the car give",
+        options={"stiffness": "network"},
+    ),
 }
-"""Stiffness models that drive `lpv-mpc` here, and what they are."""
+"""Stiffness models by their names in the tables."""
 ADAPTED = ("ideal", "rtk", "fleet")
 """Worlds of this comparison."""
 ADAPTED_ROADS = ("paper", "circuit-65", "circuit-80")
@@ -293,7 +314,7 @@ def run_of(cell: Cell) -> Run:
         scenario=road.scenario,
         scenario_options=dict(road.options),
         controller=cell.controller,
-        controller_options={"stiffness": cell.model} if cell.model else {},
+        controller_options=dict(MODELS[cell.model].options) if cell.model else {},
         seed=cell.seed,
     )
     if cell.part != "deviations":

@@ -269,7 +269,7 @@ def _adaptation(found: Found, pictures: Sequence[str]) -> Iterable[str]:
         return
     yield "## What adapting the stiffness is worth there\n"
     yield f"`{OURS}` with each stiffness model, one set of weights, the seeds of above:\n"
-    yield "\n".join(f"- `{model}`: {about}." for model, about in MODELS.items()) + "\n"
+    yield "\n".join(f"- `{name}`: {model.about}." for name, model in MODELS.items()) + "\n"
     for key in dict.fromkeys(s.cell.case for s in found.adaptation):
         here = [s for s in found.adaptation if s.cell.case == key]
         yield summary_table(f"Stiffness models in `{key}`", here, lambda s: [s.cell.model])
