@@ -332,6 +332,23 @@ def test_promises_are_met_or_missed_by_the_numbers():
     json.dumps(values, allow_nan=False)
 
 
+def test_a_rival_s_places_a_latency_that_is_survived_and_the_price_of_learning_are_promises():
+    def mm(cell):
+        better = cell.controller == "stanley" and cell.case == "fleet"
+        return 2.0 if better else {"network": 3.35, "network-dry": 3.0}.get(cell.model, 3.0)
+
+    def alone(cell):
+        return math.inf if cell.case == "latency-40" and cell.road == "paper" else 1.0
+
+    rows = {"worlds": made_up("worlds", mm), "adaptation": made_up("adaptation", mm),
+            "deviations": made_up("deviations", alone)}
+    found = {f.key: f for f in bars(Found(plan=GridPlan(), rows=rows))}
+    assert (found["rivals"].value, found["rivals"].ok) == (3.0, False)  # fleet's three roads
+    assert (found["latency-40"].value, found["latency-40"].ok) == (1.0, False)
+    assert found["alone_paper_rmse"].ok  # 40 ms is to be survived, no more
+    assert found["learning"].value == pytest.approx(3.35 - 3.3) and found["learning"].ok
+
+
 def test_the_csv_has_every_run_and_nothing_that_depends_on_the_machine():
     found = found_with(lambda cell: 5.0)
     lines = list(csv.DictReader(worlds_report.as_csv(found).splitlines()))

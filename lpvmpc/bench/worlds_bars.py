@@ -17,7 +17,9 @@ ALONE = {"paper": (2.0, 15.0), "circuit-65": (2.0, 15.0), "circuit-87": (3.0, 25
 """The same with any one deviation."""
 TOLD = {"delay-3": (2.0, 12.0), "delay-6": (4.0, 40.0)}
 """The same with a delay that is told."""
-APART = ("nominal", "raw-noise", *TOLD)
+SURVIVED = "latency-40"
+"""A deviation that need only be survived."""
+APART = ("nominal", "raw-noise", SURVIVED, *TOLD)
 """Deviations that are none of the above, or have limits of their own."""
 SENSED = {
     ("rtk", "paper"): (4.0, 20.0),
@@ -51,6 +53,8 @@ def bars(found: Found) -> list[Finding]:
     return [
         *_alone(found.rows.get("deviations", ())),
         *_worlds(found.worlds),
+        _rivals(found.worlds),
+        _learning(found.adaptation),
         *_margins(found.margins or ()),
     ]
 
@@ -69,6 +73,14 @@ def _alone(rows: Sequence[DrivenCell]) -> Iterator[Finding]:
         here = [row for row in own if row.cell.case == key and row.cell.road in ALONE]
         (title,) = (one.title for one in DEVIATIONS if one.key == key)
         yield from _worst(key, title, here, limits)
+
+
+    here = [row for row in own if row.cell.case == SURVIVED]
+    (title,) = (one.title for one in DEVIATIONS if one.key == SURVIVED)
+    yield Finding(
+        key=SURVIVED, figure=f"{title}: lost runs", unit="runs", limit=Limit.at_most(0.0),
+        value=float(sum(not row.completed for row in here)) if here else None,
+    )
 
 
 def _worst(
@@ -117,6 +129,35 @@ def _completed(road: str, s: Summary | None, least: float) -> Finding:
         key=f"fleet_{road}_completed", figure=f"fleet, {ROADS[road].title}: completed",
         value=None if s is None else 100.0 * s.completed / s.n, unit="%",
         limit=Limit.at_least(least),
+    )
+
+
+def _rivals(found: Sequence[Summary]) -> Finding:
+    """In how many worlds and roads another has a better 95th percentile of the RMSE."""
+    own = {(s.cell.case, s.cell.road): s for s in found if s.cell.controller == OURS}
+    pairs = [
+        (s, own[s.cell.case, s.cell.road]) for s in found
+        if s.cell.controller != OURS and (s.cell.case, s.cell.road) in own
+    ]
+    better = {(s.cell.case, s.cell.road) for s, ours in pairs if s.rmse[1] < ours.rmse[1]}
+    return Finding(
+        key="rivals", figure="worlds and roads where a rival's 95th percentile is better",
+        value=float(len(better)) if pairs else None, limit=Limit.at_most(0.0),
+    )
+
+
+def _learning(found: Sequence[Summary]) -> Finding:
+    """What online learning costs at the worst on a dry road with the nominal car."""
+    table = {(s.cell.case, s.cell.road, s.cell.model): s for s in found}
+    costs = []
+    for (case, road, model), s in table.items():
+        dry = table.get((case, road, "network-dry"))
+        if model == "network" and case in ("ideal", "rtk") and dry is not None:
+            lost = math.isinf(s.rmse[0])  # never met, also where both are
+            costs.append(math.inf if lost else 1e3 * (s.rmse[0] - 1.1 * dry.rmse[0]))
+    return Finding(
+        key="learning", figure="online learning, nominal car: median RMSE over 1.1 of that without",
+        value=max(costs, default=None), unit="mm", limit=Limit.at_most(0.1),
     )
 
 
