@@ -20,7 +20,7 @@ def short(tmp_path, monkeypatch):
     angle = np.linspace(0.0, 0.8, 21)
     rows = "".join(f"{50 * np.sin(a):.4f},{50 * (1 - np.cos(a)):.4f},3,3,10\n" for a in angle)
     (tmp_path / "road.csv").write_text("# x_m,y_m,w_tr_right_m,w_tr_left_m,vx_mps\n" + rows)
-    case = runs.Case(key="paper", title="bend", scenario="road.csv", ablated=True)
+    case = runs.RoadCase(key="paper", title="bend", scenario="road.csv", ablated=True)
     every = runs.entries
     monkeypatch.setattr(runs, "CASES", (case,))
     monkeypatch.setattr(
