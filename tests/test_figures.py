@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from fake_log import fake_log
 
+from lpvmpc import published
 from lpvmpc.errors import OutputError
 from lpvmpc.picture import figures
 from lpvmpc.picture.path_figure import zooms
@@ -68,8 +69,8 @@ def test_the_papers_errors_are_shown_on_the_papers_road_only(name, compared):
 
 
 def test_the_papers_values_are_those_of_its_text():
-    assert figures.PAPER["lateral_rmse_m"] == 0.0217
-    assert figures.PAPER["heading_max_rad"] == pytest.approx(0.19199, abs=1e-5)  # 11 degrees
+    assert published.TRACKING["lateral_rmse_m"] == 0.0217
+    assert published.TRACKING["heading_max_rad"] == pytest.approx(0.19199, abs=1e-5)  # 11 degrees
 
 
 def test_the_zooms_hold_the_largest_error_and_the_strongest_wind(log):

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lpvmpc.commands import track_table
+from lpvmpc import published
 from lpvmpc.picture import figures
 from lpvmpc.sim.metrics import KEYS
 
@@ -82,7 +82,7 @@ def test_a_users_controller_is_driven_and_judged(run, road, sketch, user_module)
 
 
 def test_the_paper_is_beside_the_papers_scenario_only():
-    assert track_table.PAPER["lateral_rmse_m"] == 0.0217
+    assert published.TRACKING["lateral_rmse_m"] == 0.0217
 
 
 def test_a_weights_file_is_driven_and_recorded(run, road, tmp_path, sketch):

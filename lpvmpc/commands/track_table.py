@@ -6,22 +6,11 @@ import sys
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
+from lpvmpc import published
 from lpvmpc.kit.provenance import machine
 
 if TYPE_CHECKING:
     from lpvmpc.sim.log import Log
-
-PAPER = {
-    "lateral_rmse_m": 0.0217,
-    "lateral_max_m": 0.08,
-    "heading_rmse_rad": 0.0465,
-    "heading_max_rad": 0.192,  # printed as 11 degrees
-    "speed_rmse_mps": 0.101,
-    "speed_max_mps": 0.087,
-}
-"""Results printed in the paper; its largest speed error is smaller than its RMSE."""
-PAPER_SOLVE_MS = 11.3
-"""Mean solve time printed in the paper (Gurobi through Yalmip) [ms]."""
 
 
 def print_table(result: dict[str, Any], log: Log) -> None:
@@ -60,7 +49,7 @@ def rows(result: dict[str, Any], log: Log) -> Iterator[tuple[str, str, str]]:
     """Label, value of this run and value of the paper, as text."""
 
     def number(key: str, unit: str, digits: int = 4, scale: float = 1.0) -> tuple[str, str]:
-        ours, paper = result[key], PAPER.get(key)
+        ours, paper = result[key], published.TRACKING.get(key)
         shown = "-" if ours is None else f"{scale * ours:.{digits}f} {unit}"
         return shown, "" if paper is None else f"{scale * paper:.{digits}f} {unit}"
 
@@ -89,7 +78,8 @@ def rows(result: dict[str, Any], log: Log) -> Iterator[tuple[str, str, str]]:
     if qp["solved"] + qp["fallback"]:
         solve = log.timing["solve_us"]
         yield "QPs solved / fallbacks", f"{qp['solved']} / {qp['fallback']}", ""
-        yield "QP solve time, mean", f"{solve.mean() / 1e3:.3f} ms", f"{PAPER_SOLVE_MS:.1f} ms"
+        paper = f"{published.SOLVE_MEAN_MS:.1f} ms"
+        yield "QP solve time, mean", f"{solve.mean() / 1e3:.3f} ms", paper
     if log.meta["clamped_inputs"] is not None:
         yield "network inputs outside the trained range", f"{log.meta['clamped_inputs']}", ""
     if step["p50"] is not None:

@@ -16,7 +16,6 @@ from lpvmpc.kit.files import into, write_picture
 from lpvmpc.paper.measurements import DrivenEntry, Evidence
 from lpvmpc.paper.runs import LMPC, OURS, PLAIN
 from lpvmpc.picture import path_figure
-from lpvmpc.picture.figures import PAPER as PRINTED
 from lpvmpc.picture.style import (
     BLUE,
     COLUMN,
@@ -33,6 +32,7 @@ from lpvmpc.picture.style import (
     peak,
     styled,
 )
+from lpvmpc.published import LOSSES, SOLVE_MEAN_MS, TRACKING
 from lpvmpc.sim.metrics import wrap
 from lpvmpc.tune import sphere_report
 
@@ -40,8 +40,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-LOSSES = {"training": 0.196, "validation": 0.226}
-"""Losses printed in the paper."""
 DASHED, DOTTED = (0, (4, 2)), (0, (1, 1.5))
 LINES = {OURS: (RUNS[0], "LPV-MPC (ours)", 0.8), LMPC: (RUNS[1], "LMPC with PSO-PID", 1.6)}
 """Colour, name and width of the controllers; ours is drawn over the baseline, and thinner."""
@@ -175,14 +173,14 @@ def errors(e: Evidence) -> Figure:
     figure = blank(DOUBLE, 4.9)
     axes = figure.subplots(4, 2, sharex=True, width_ratios=(1.0, 1.0))
     kinds: tuple[tuple[str, str, Callable[[Any], Any], float, float | None, float | None], ...] = (
-        ("lateral", "mm", lambda c: c["ey_m"], 1e3, PRINTED["lateral_rmse_m"],
-         PRINTED["lateral_max_m"]),
-        ("heading", "deg", lambda c: c["epsi_rad"], 180.0 / np.pi, PRINTED["heading_rmse_rad"],
-         PRINTED["heading_max_rad"]),
+        ("lateral", "mm", lambda c: c["ey_m"], 1e3, TRACKING["lateral_rmse_m"],
+         TRACKING["lateral_max_m"]),
+        ("heading", "deg", lambda c: c["epsi_rad"], 180.0 / np.pi, TRACKING["heading_rmse_rad"],
+         TRACKING["heading_max_rad"]),
         ("course", "deg", lambda c: wrap(c["epsi_rad"] + np.arctan2(c["vy_mps"], c["vx_mps"])),
          180.0 / np.pi, None, None),
-        ("speed", "m/s", lambda c: c["vx_mps"] - c["vx_ref_mps"], 1.0, PRINTED["speed_rmse_mps"],
-         PRINTED["speed_max_mps"]),
+        ("speed", "m/s", lambda c: c["vx_mps"] - c["vx_ref_mps"], 1.0, TRACKING["speed_rmse_mps"],
+         TRACKING["speed_max_mps"]),
     )
     for (signed, magnitude), (name, unit, of, scale, rmse, largest) in zip(
         axes, kinds, strict=True
@@ -228,7 +226,7 @@ def computation_time(e: Evidence) -> Figure:
         own = 1e-3 * values
         axis.plot(t, own, ".", ms=1.4, color=light, rasterized=True)
         axis.axhline(own.mean(), color=dark, lw=1.4, label=f"{name}, mean {own.mean():.2g} ms")
-    paper = 1e3 * PRINTED["solve_mean_s"]
+    paper = SOLVE_MEAN_MS
     axis.axhline(paper, color=RED, lw=1.0, ls=DASHED, label=f"paper, mean {paper:.1f} ms")
     axis.axhline(period, color="black", lw=1.0, ls=DOTTED, label=f"period {period:.0f} ms")
     axis.set_yscale("log")

@@ -10,6 +10,7 @@ import numpy as np
 
 from lpvmpc.paper.measurements import Evidence
 from lpvmpc.paper.runs import LMPC, OURS, PAPERS, PLAIN
+from lpvmpc.published import BASELINE, HEADING_MAX_DEG, LOSSES, SOLVE_MEAN_MS, TRACKING
 from lpvmpc.tune import sphere
 
 DEGREE = 180.0 / math.pi
@@ -49,10 +50,8 @@ TABLES = {
     "conditions": "Conditions",
 }
 """Tables of numbers and their titles."""
-PAPER_LMPC = {"lateral_rmse_m": 0.1367, "speed_rmse_mps": 0.1459}
-PAPER_OURS = {"lateral_rmse_m": 0.0217, "speed_rmse_mps": 0.101}
-PAPER_RATIO = {key: PAPER_LMPC[key] / PAPER_OURS[key] for key in PAPER_LMPC}
-"""Errors printed in the paper, and how many times larger the baseline's are."""
+PAPER_RATIO = {key: BASELINE[key] / TRACKING[key] for key in BASELINE}
+"""How many times larger the baseline's errors are in the paper."""
 IMPOSSIBLE = "impossible: below its own RMSE"
 
 
@@ -64,15 +63,16 @@ def numbers(e: Evidence) -> list[Number]:
 
 def _tracking(e: Evidence) -> Iterable[Number]:
     for key, text, unit, paper, scale, remark in (
-        ("lateral_rmse_m", "lateral error, RMSE", "m", 0.0217, 1.0, ""),
-        ("lateral_max_m", "lateral error, largest", "m", 0.08, 1.0, ""),
-        ("heading_rmse_rad", "heading error, RMSE", "rad", 0.0465, 1.0,
+        ("lateral_rmse_m", "lateral error, RMSE", "m", TRACKING["lateral_rmse_m"], 1.0, ""),
+        ("lateral_max_m", "lateral error, largest", "m", TRACKING["lateral_max_m"], 1.0, ""),
+        ("heading_rmse_rad", "heading error, RMSE", "rad", TRACKING["heading_rmse_rad"], 1.0,
          "contains the angle that a car in side wind must have"),
-        ("heading_max_rad", "heading error, largest", "deg", 11.0, DEGREE, "the same"),
+        ("heading_max_rad", "heading error, largest", "deg", HEADING_MAX_DEG, DEGREE, "the same"),
         ("course_rmse_rad", "course error, RMSE", "rad", None, 1.0,
          "heading plus sideslip: the direction of motion"),
-        ("speed_rmse_mps", "speed error, RMSE", "m/s", 0.101, 1.0, ""),
-        ("speed_max_mps", "speed error, largest", "m/s", 0.087, 1.0, f"paper's {IMPOSSIBLE}"),
+        ("speed_rmse_mps", "speed error, RMSE", "m/s", TRACKING["speed_rmse_mps"], 1.0, ""),
+        ("speed_max_mps", "speed error, largest", "m/s", TRACKING["speed_max_mps"], 1.0,
+         f"paper's {IMPOSSIBLE}"),
     ):
         ours, third = (_scaled(_get(e, OURS, case, key), scale)
                        for case in ("paper", "paper-third"))
@@ -86,7 +86,7 @@ def _baseline(e: Evidence) -> Iterable[Number]:
     for key, (text, unit) in names.items():
         ours, third = (_get(e, LMPC, case, key) for case in ("paper", "paper-third"))
         yield Number(key=f"lmpc_{key}", group="baseline", text=text, unit=unit,
-                     paper=PAPER_LMPC[key], ours=ours, third=third)
+                     paper=BASELINE[key], ours=ours, third=third)
     for other, than, remark in (
         (OURS, "ours", ""), (PAPERS, PAPERS, "the comparison that the paper makes"),
         (PLAIN, PLAIN, "the same without the network"),
@@ -118,7 +118,7 @@ def _computation(e: Evidence) -> Iterable[Number]:
     solve, step = (1e-3 * np.asarray(times[name], dtype=float) for name in ("solve_us", "step_us"))
     mean = float(step.mean())
     for key, text, unit, paper, ours, remark in (
-        ("solve_mean_ms", "mean time to solve", "ms", 11.3, float(solve.mean()),
+        ("solve_mean_ms", "mean time to solve", "ms", SOLVE_MEAN_MS, float(solve.mean()),
          "paper: Gurobi through Yalmip, Ryzen 7 5800H; ours: ProxQP, this machine"),
         ("step_mean_ms", "mean time of a control step", "ms", None, mean,
          "adaptation, model, QP, solve, check"),
@@ -145,9 +145,9 @@ def _network(e: Evidence) -> Iterable[Number]:
         ("r2_runs_train", "R2, training, runs held out", None, score(theirs, "runs", "train"), ""),
         ("r2_runs_test", "R2, test, runs held out", None, score(theirs, "runs", "test"),
          "whole runs are new to the network"),
-        ("loss_train", "loss, training", 0.196, last[1],
+        ("loss_train", "loss, training", LOSSES["training"], last[1],
          "ours: runs held out; paper's is not 1 - R2, 0.12, as it should be"),
-        ("loss_test", "loss, validation", 0.226, last[2], "ours: runs held out"),
+        ("loss_test", "loss, validation", LOSSES["validation"], last[2], "ours: runs held out"),
         ("samples", "samples", 10752.0, float(theirs.samples) if theirs else None,
          "paper: CarSim; ours: the MuJoCo car"),
         ("r2_ours_test", "R2 of our network, runs held out", None, score(ours, "runs", "test"),
@@ -172,9 +172,9 @@ def _search(e: Evidence) -> Iterable[Number]:
         )
     tuned = e.tunings.get(OURS)
     for key, text, unit, paper in (
-        ("lateral_rmse_m", "tuned: lateral RMSE", "m", 0.0217),
-        ("heading_rmse_rad", "tuned: heading RMSE", "rad", 0.0465),
-        ("speed_rmse_mps", "tuned: speed RMSE", "m/s", 0.101),
+        ("lateral_rmse_m", "tuned: lateral RMSE", "m", TRACKING["lateral_rmse_m"]),
+        ("heading_rmse_rad", "tuned: heading RMSE", "rad", TRACKING["heading_rmse_rad"]),
+        ("speed_rmse_mps", "tuned: speed RMSE", "m/s", TRACKING["speed_rmse_mps"]),
     ):
         worst = None
         if tuned is not None and all(result["completed"] for result in tuned.after):

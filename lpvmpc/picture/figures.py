@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lpvmpc import published
 from lpvmpc.kit.files import into, write_picture
 from lpvmpc.picture import path_figure
 from lpvmpc.picture.style import (
@@ -33,6 +34,7 @@ from lpvmpc.picture.style import (
     styled,
     y_label,
 )
+from lpvmpc.published import TRACKING
 from lpvmpc.sim.log import WHEELS
 from lpvmpc.units import GRAVITY
 
@@ -40,16 +42,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-PAPER = {
-    "lateral_rmse_m": 0.0217, "lateral_max_m": 0.08,
-    "heading_rmse_rad": 0.0465, "heading_max_rad": np.deg2rad(11.0),
-    "speed_rmse_mps": 0.101, "speed_max_mps": 0.087,
-    "solve_mean_s": 0.0113,
-}
-"""Results printed in the paper. Its largest speed error is below its RMSE; quoted as printed."""
-
 __all__ = [
-    "BLUE", "COLUMN", "DOUBLE", "DPI", "GREEN", "GREY", "ORANGE", "PAPER", "PINK", "RED", "SKY",
+    "BLUE", "COLUMN", "DOUBLE", "DPI", "GREEN", "GREY", "ORANGE", "PINK", "RED", "SKY",
     "STYLE", "commands", "computation_time", "errors", "gg", "path", "save_all", "speed_wind",
     "tires",
 ]
@@ -134,12 +128,12 @@ def errors(log: Any) -> Figure:
     figure = blank(DOUBLE, 4.0)
     axes = figure.subplots(3, 2, sharex=True)
     rows = (
-        ("lateral", "mm", 1e3 * c["ey_m"], 1e3 * PAPER["lateral_rmse_m"],
-         1e3 * PAPER["lateral_max_m"]),
-        ("heading", "deg", np.rad2deg(c["epsi_rad"]), np.rad2deg(PAPER["heading_rmse_rad"]),
-         np.rad2deg(PAPER["heading_max_rad"])),
-        ("speed", "m/s", c["vx_mps"] - c["vx_ref_mps"], PAPER["speed_rmse_mps"],
-         PAPER["speed_max_mps"]),
+        ("lateral", "mm", 1e3 * c["ey_m"], 1e3 * TRACKING["lateral_rmse_m"],
+         1e3 * TRACKING["lateral_max_m"]),
+        ("heading", "deg", np.rad2deg(c["epsi_rad"]), np.rad2deg(TRACKING["heading_rmse_rad"]),
+         np.rad2deg(TRACKING["heading_max_rad"])),
+        ("speed", "m/s", c["vx_mps"] - c["vx_ref_mps"], TRACKING["speed_rmse_mps"],
+         TRACKING["speed_max_mps"]),
     )
     for (signed, magnitude), (name, unit, error, rmse, largest) in zip(axes, rows, strict=True):
         signed.plot(c["t_s"], error, color=BLUE, lw=0.9)
@@ -179,7 +173,7 @@ def computation_time(log: Any) -> Figure:
         p50, p99 = np.percentile(step, (50.0, 99.0))
         axis.axhline(p50, color=BLUE, lw=1.2, label=f"median {p50:.2f} ms")
         axis.axhline(p99, color=ORANGE, lw=1.2, label=f"99th percentile {p99:.2f} ms")
-    paper = 1e3 * PAPER["solve_mean_s"]
+    paper = published.SOLVE_MEAN_MS
     axis.axhline(paper, color=RED, lw=1.0, ls=(0, (4, 2)), label=f"paper, mean {paper:.1f} ms")
     axis.axhline(period, color="black", lw=1.0, ls=(0, (1, 1.5)),
                  label=f"control period {period:.0f} ms")
