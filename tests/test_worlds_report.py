@@ -362,6 +362,7 @@ def test_curves_of_the_picture_end_at_the_share_of_completed_runs():
     figure = worlds_pictures.shares(rows, lambda cell: cell.controller, ("lpv-mpc", "stanley"))
     (axes,) = figure.axes
     assert [text.get_text() for text in axes.texts] == [""]
+    assert axes.get_xlim() == (1.0, 10.0) and list(axes.get_xticks()) == [1.0, 10.0]
     x, y = axes.lines[0].get_data()
     assert np.allclose(x, [1.0, 1.0, 2.0, 4.0]) and np.allclose(y, [0.0, 0.25, 0.5, 0.75])
 

@@ -46,6 +46,7 @@ def shares(rows: Sequence[DrivenCell], who: Callable[[Cell], str], names: Sequen
     worlds = list(dict.fromkeys(row.cell.case for row in rows))
     roads = [road for road in SHOWN if any(row.cell.road == road for row in rows)]
     groups = grouped(rows, lambda cell: (cell.case, cell.road, who(cell)))
+    powers = _decades([1e3 * row.rmse for row in rows if row.completed])
     figure = house.blank(house.DOUBLE, 0.45 + ROW_HEIGHT * len(roads))
     grid = figure.subplots(len(roads), len(worlds), sharex=True, sharey=True, squeeze=False)
     for axes_of_road, road in zip(grid, roads, strict=True):
@@ -53,12 +54,12 @@ def shares(rows: Sequence[DrivenCell], who: Callable[[Cell], str], names: Sequen
             for i, name in enumerate(names):
                 _curve(axes, groups.get((world, road, name), ()), i, name)
             axes.set_xscale("log")
-            axes.set_xlim(*_decades([1e3 * row.rmse for row in rows if row.completed]))
-            axes.xaxis.set_minor_formatter("")
-            axes.xaxis.set_major_formatter(lambda value, place: f"{value:g}")
+            axes.set_xticks(powers)
+            axes.set_xticks([], minor=True)
+            axes.set_xlim(powers[0], powers[-1])
             axes.set_ylim(-0.03, 1.03)
-            axes.text(0.5, 0.5, _without(groups, (world, road), names), fontsize=6.0, ha="center",
-                      va="center", transform=axes.transAxes, color=house.GREY)
+            axes.text(0.98, 0.04, _without(groups, (world, road), names), fontsize=5.5, ha="right",
+                      va="bottom", transform=axes.transAxes, color=house.GREY)
         axes_of_road[0].set_ylabel(f"{ROADS[road].title}\nshare of runs")
     for axes, world in zip(grid[0], worlds, strict=True):
         axes.set_title(world)
@@ -68,10 +69,11 @@ def shares(rows: Sequence[DrivenCell], who: Callable[[Cell], str], names: Sequen
     return figure
 
 
-def _decades(values: Sequence[float]) -> tuple[float, float]:
-    """The powers of ten about all values."""
+def _decades(values: Sequence[float]) -> list[float]:
+    """The powers of ten from below all values to above them."""
     low, high = min(values, default=1.0), max(values, default=10.0)
-    return 10.0 ** math.floor(math.log10(low)), 10.0 ** math.ceil(math.log10(high) + 1e-9)
+    first, last = math.floor(math.log10(low)), math.ceil(math.log10(high) + 1e-9)
+    return [10.0**i for i in range(first, last + 1)]
 
 
 def _without(
