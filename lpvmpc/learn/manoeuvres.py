@@ -283,7 +283,7 @@ def _controller(name: str) -> Controller:
 
     So the data change neither when the controllers are tuned nor when a network is trained.
     """
-    from lpvmpc.control.cost import PAPER_WEIGHTS, Weights
+    from lpvmpc.control.cost import NERVOUS_WEIGHTS, PAPER_WEIGHTS
     from lpvmpc.control.formulation import PAPER, Formulation
     from lpvmpc.control.lpv_mpc import LPVMPC
     from lpvmpc.control.stiffness.models import ConstantStiffness
@@ -297,7 +297,7 @@ def _controller(name: str) -> Controller:
     full = Formulation(
         decoupled=False, approach=False, steering=False, noise=False, traction=False
     )
-    return LPVMPC(car, stiffness=stiffness, formulation=full, weights=Weights())
+    return LPVMPC(car, stiffness=stiffness, formulation=full, weights=NERVOUS_WEIGHTS)
 
 
 KINDS: dict[str, Draw] = {
