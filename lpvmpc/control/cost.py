@@ -107,7 +107,7 @@ class Weights:
 NERVOUS_WEIGHTS = Weights(
     q_vx=30.0, q_vy=0.0, q_r=0.0, q_ey=80.0, q_epsi=80.0, r_delta=0.05, r_ax=0.04, terminal=1.0,
     observer_gain=0.3, slip_cap=0.14,
-)  # fmt: skip
+)
 """What was set by hand for a world without noise; the laps of the networks' data are driven so."""
 PAPER_WEIGHTS = replace(NERVOUS_WEIGHTS, q_epsi=800.0, r_delta=0.18, terminal=0.0)
 """Weights for `PAPER`, which loses the MuJoCo car with the weights of the full controller."""

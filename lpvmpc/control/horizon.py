@@ -156,7 +156,7 @@ class Horizon:
     """How far a disturbance is believed to move within a second, shape (3,); infinite: as far as
     the gain lets it."""
     allowed: Array
-    """Acceleration that traction control allows [m/s2], shape (1,)."""
+    """Acceleration and braking that traction control allows, both positive [m/s2], shape (2,)."""
 
     def __post_init__(self) -> None:
         """Make the handle; numbers of one kind, so that all handles have one type."""
@@ -218,9 +218,9 @@ class Horizon:
             "knots": (n + 1, ns),
             "queue": (delay + unknown + 1, 2), "x_last": (ns,), "kappa_last": (1,),
             "predicted": (ns,), "inner": (5,), "gain": (3,), "disturbance": (3,),
-            "unmodelled": (2,), "acting": (4,), "slips": (2,), "allowed": (1,), "lateness": (1,),
+            "unmodelled": (2,), "acting": (4,), "slips": (2,), "allowed": (2,), "lateness": (1,),
             "soft_bound": (1,), "table_lags": (1,), "noise": (3,), "error": (3,), "walk": (3,),
-        }  # fmt: skip
+        }
         if "table_lags" in constants:
             shapes["table_lags"] = np.shape(constants["table_lags"])
         arrays: dict[str, Any] = {name: np.zeros(shape) for name, shape in shapes.items()}
@@ -230,7 +230,7 @@ class Horizon:
         numbers: dict[str, Any] = {
             "form": 0, "method": 0, "steady": 0, "delta_max": np.inf, "slip_cap": np.inf,
             "traction": 0, "soft": 0, "decoupled": 0, "approach": 0,
-        }  # fmt: skip
+        }
         return cls(
             q=q.copy(),
             r_du=r_du.copy(),
@@ -249,9 +249,9 @@ class Horizon:
         for array in (
             self.plan, self.prediction, self.schedule, self.knots, self.queue, self.x_last,
             self.kappa_last, self.inner, self.disturbance, self.lateness, self.noise, self.error,
-        ):  # fmt: skip
+        ):
             array[...] = 0.0
-        self.allowed[0] = np.inf
+        self.allowed[:] = np.inf
 
     def __getstate__(self) -> dict[str, Any]:
         """All but the handle, which is made anew from them."""
@@ -290,7 +290,7 @@ _DIMENSIONS = {
     **dict.fromkeys(
         ("cd", "axle_forces", "x_ref", "q", "terminal", "u_lo", "u_hi", "free", "H", "C", "plan",
          "prediction", "schedule", "knots", "queue"), 2),
-}  # fmt: skip
+}
 _TYPES = {
     field.name: _KINDS.get(str(field.type))
     or types.Array(types.float64, _DIMENSIONS.get(field.name, 1), "C")

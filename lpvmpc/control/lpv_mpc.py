@@ -128,7 +128,7 @@ class LPVMPC(Tracker):
         x = np.array(
             [state.vx, state.vy, state.r, preview.ey, preview.epsi, state.delta, 0.0, 0.0, 0.0, 0.0,
              0.0]
-        )  # fmt: skip
+        )
         if self.informed is None:
             self._begin(x, state, preview)
         elif not self.informed:  # the period before was not measured: no prediction to compare with

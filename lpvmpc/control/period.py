@@ -36,6 +36,7 @@ from lpvmpc.control.disturbance import LIMIT, update
 from lpvmpc.control.formulation import EY_MAX
 from lpvmpc.control.qp import condense
 from lpvmpc.control.traction import hold as hold_drive
+from lpvmpc.control.traction import hold_brakes
 
 NEAR = 0.15
 """A car that is no further beside its path than this is pulled onto it [m]."""
@@ -149,7 +150,7 @@ def bounds(h, car, slip_cap, force):
         flow = np.arctan2(schedule[k, VY] + car.lf * schedule[k, R], vx)
         u_lo[k, 0] = max(-delta_max, min(flow - slip_cap, delta_max))
         u_hi[k, 0] = min(delta_max, max(flow + slip_cap, -delta_max))
-        u_lo[k, 1] = ax_min
+        u_lo[k, 1] = max(ax_min, -h.allowed[1])
         u_hi[k, 1] = min(force, power / vx) / m_eff
         for m in range(len(du_max)):  # what the increment bounds can reach is allowed
             least = (u_lo[k - 1, m] if k > 0 else u_prev[m]) - du_max[m]
@@ -181,8 +182,12 @@ def write(h, kappa, vx_ref, wheel_speed, friction):
         allowed[0] = hold_drive(
             allowed[0], force / m_eff, h.schedule[0, A], wheel_speed, x[VX], x[R], friction, R_w,
             half_track, vx_min, h.Ts,
-        )  # fmt: skip
+        )
         force = m_eff * allowed[0]
+        allowed[1] = hold_brakes(
+            allowed[1], -h.drive[0], h.schedule[0, A], wheel_speed, x[VX], x[R], friction, R_w,
+            half_track, vx_min, h.Ts,
+        )
     freeze(h, kappa, car)
     references(h, kappa, vx_ref, car)
     terminal_weight(h, vx_ref[len(h.plan)], car.tau_delta)

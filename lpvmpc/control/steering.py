@@ -174,7 +174,7 @@ class SteeringBank:
         _advance(
             self._angles, self._sums, self._shared, self._history[:LATENCIES], self._lags,
             self._share, measured, self._rate, self._keep, self._Ts,
-        )  # fmt: skip
+        )
         _judge(self._sums, self._shared[0], self._prior, self._log_lags, self._priors, self._out)
         return float(self._out[0]), float(self._out[1])
 

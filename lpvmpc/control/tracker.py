@@ -137,7 +137,7 @@ class Tracker:
         if math.isfinite(
             state.vx + state.vy + state.r + state.delta + state.ax + state.ay
             + preview.ey + preview.epsi
-        ):  # fmt: skip
+        ):
             self.estimate(state, preview)
             self.write_qp(state, preview)
             self.informed = True

@@ -1,7 +1,8 @@
-"""Traction control: how much drive the front wheels take, told by their speeds.
+"""Traction and anti-lock control: how much drive and brake the wheels take, told by their speeds.
 
 The MPC plans an acceleration, the motor spins a wheel: an inner front wheel that is out of grip
-takes the outer one's drive with it, and its side force. No model of the controller sees that.
+takes the outer one's drive with it, and its side force. Brakes that are asked for more than the
+road holds lock the front wheels, which then steer no more. No model of the controller sees either.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ FRICTION_MIN = 0.5
 """Smallest friction that is believed here: where little grip is used the estimate drifts."""
 RELEASE = 6.0
 """Rate at which the drive is released again [m/s3]."""
+BRAKE_RELEASE = 15.0
+"""The same of the brakes [m/s3]: a car that does not brake runs wide at the next bend."""
 
 
 @njit(cache=True)
@@ -48,4 +51,36 @@ def hold(allowed, most, a, wheel_speed, vx, r, friction, R_w, half_track, vx_min
     bound = SLIP_RATIO * min(max(friction, FRICTION_MIN), 1.0)
     if slip > bound:
         allowed = min(allowed, max(a, 0.0) * bound / slip)
+    return allowed
+
+
+@njit(cache=True)
+def hold_brakes(allowed, most, a, wheel_speed, vx, r, friction, R_w, half_track, vx_min, Ts):
+    """Strongest braking to ask for, so that no wheel locks.
+
+    Args:
+        allowed: What was allowed in the period before, positive [m/s2]; infinite at the start.
+        most: What the brakes can give, positive [m/s2].
+        a: What is driven or braked with now [m/s2].
+        wheel_speed: See `hold`, also for the rest.
+        vx: As above.
+        r: As above.
+        friction: As above.
+        R_w: As above.
+        half_track: As above.
+        vx_min: As above.
+        Ts: As above.
+
+    Returns:
+        The braking, positive [m/s2].
+    """
+    slip = 0.0
+    for i in range(4):
+        side = -half_track if i % 2 == 0 else half_track
+        speed = max(vx + side * r, vx_min)
+        slip = max(slip, 1.0 - wheel_speed[i] * R_w / speed)
+    allowed = min(allowed + BRAKE_RELEASE * Ts, most)
+    bound = SLIP_RATIO * min(max(friction, FRICTION_MIN), 1.0)
+    if slip > bound and vx > 2.0 * vx_min:
+        allowed = min(allowed, max(-a, 0.0) * bound / slip)
     return allowed

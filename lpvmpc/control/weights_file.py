@@ -56,10 +56,10 @@ def read_weights(file: str | os.PathLike[str], controller: str | None = None) ->
     tuned_for = content.get("controller")
     if not isinstance(tuned_for, str):
         raise DataError(f"Weights file {path!r} does not say for which controller: "
-                        'controller = "NAME".')  # fmt: skip
+                        'controller = "NAME".')
     if controller is not None and tuned_for != controller:
         raise DataError(f"Weights file {path!r} is for controller {tuned_for!r}, but "
-                        f"{controller!r} drives.")  # fmt: skip
+                        f"{controller!r} drives.")
     for name, value in weights.items():
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise DataError(f"Weights file {path!r}: {name} is {value!r}, but must be a number.")

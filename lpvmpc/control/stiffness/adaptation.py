@@ -37,13 +37,13 @@ MEMORY = 20.0
 """Time after which a friction that nothing confirms is forgotten [s]."""
 START = np.array([0.05, 0.2, 0.2, 1000.0, 1000.0])
 """How far each unknown is expected from its start, standard deviations."""
-DRIFT = np.array([0.3, 0.01, 0.01, 800.0, 1200.0])
+DRIFT = np.array([0.1, 0.01, 0.01, 800.0, 1200.0])
 """How far each moves within a second, standard deviations."""
 JUMP = 0.3
 """How far friction is believed to move when the road changes, standard deviation [-]."""
 GATE = 16.0
 """Squared error over its variance from which on the road has changed [-]: four deviations."""
-NOISE = np.array([400.0, 400.0])
+NOISE = np.array([1000.0, 1000.0])
 """Errors of the model that look like noise: force [N], moment [N m], standard deviations."""
 NOISE_MEMORY = 2.0
 """Time over which the noise of the measurements is averaged [s]."""
@@ -54,7 +54,7 @@ USE_LOW, USE_HIGH = 0.35, 0.6
 @njit(cache=True)
 def _learn(
     estimate, P, noise, last, unmodelled, tires, alpha, a, ay, constants, tuning, Ts,
-):  # fmt: skip
+):
     """One period of the Kalman filter, in place; see `TireAdaptation.update`."""
     m, Iz, lever_f, lever_r, lr, h, wheelbase, m_eff, brake_front, mu = constants
     start, drift, floor = tuning
@@ -149,4 +149,4 @@ class TireAdaptation:
         _learn(
             self.estimate, self._P, self._noise, self._last, unmodelled, tires, alpha, a, ay,
             self._constants, (START, DRIFT, NOISE), self._Ts,
-        )  # fmt: skip
+        )

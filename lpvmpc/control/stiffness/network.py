@@ -298,7 +298,7 @@ class NetworkTire:
         self.clamped += along(
             prediction, self.Ts, self.friction, *self.scales, self._constants, *self._spin,
             self.norm, self.net, self._z, tires,
-        )  # fmt: skip
+        )
 
     def axle(
         self, axle: int, alpha: float, Fx: float, ax: float, roll: float, friction: float = 1.0

@@ -42,7 +42,7 @@ class PerturbedStiffness:
         """
         for name, value, low, high in (
             ("stiffness scale", scale, FACTOR_MIN, 5.0), ("stiffness noise", noise, 0.0, 1.0),
-        ):  # fmt: skip
+        ):
             if not low <= value <= high:  # NaN fails it too
                 raise OptionError(name, value, f"a number from {low:g} to {high:g}")
         if type(seed) is not int or seed < 0:

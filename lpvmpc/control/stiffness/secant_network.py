@@ -73,7 +73,7 @@ def secant(x, net, h, g, out):
 @njit(cache=True)
 def secant_along(
     x, Ts, constants, m_eff, brake_front, inertia, net, sample, h, g, pair, tires
-):  # fmt: skip
+):
     """Secant stiffness in the middle of each interval of a prediction, in place; see `along`."""
     clamped = 0
     car = bicycle.unpack(constants)
