@@ -57,6 +57,8 @@ class Formulation:
     """Lag, latency, gain and offset of the steering are learned online."""
     noise: bool = True
     """The observer's gain follows the noise that it sees."""
+    drive_on: bool = True
+    """After several refused solves in a row geometry drives, instead of braking to a standstill."""
     span: int = 2
     """Periods of the horizon that share one frozen model and one row of the ey bound; a divisor of
     Np. Two halve the time to build and cost no accuracy that shows."""
@@ -97,6 +99,7 @@ PAPER = Formulation(
     approach=False,
     steering=False,
     noise=False,
+    drive_on=False,
 )
 """The paper's plain formulation on the corrected matrices."""
 

@@ -104,7 +104,7 @@ class LPVMPC(Tracker):
         self.formulation = form = formulation if formulation is not None else Formulation()
         if stiffness is None:
             stiffness = NetworkStiffness(car, Ts=form.Ts)
-        self.stiffness = stiffness
+        self.stiffness, self.drives_on = stiffness, form.drive_on
         self.weights = chosen("lpv-mpc", weights, Weights())
         parts = {part: getattr(form, part) for part in ("lags", "relaxation", "roll", "trail")}
         self.bicycle = Bicycle.of(car).simplified(**parts)

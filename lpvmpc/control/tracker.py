@@ -61,6 +61,8 @@ class Tracker:
 
     name: str
     """Name of the controller."""
+    drives_on = True
+    """Whether geometry drives after `REFUSALS` refused solves in a row; else the car brakes."""
     informed: bool | None
     """Whether the period before was measured; None before the first measured one."""
 
@@ -182,14 +184,15 @@ class Tracker:
     def _fall_back(self, state: State, preview: Preview) -> str:
         """A refused solve: keep to the previous plan, already shifted; after three, drive on.
 
-        Without a measurement there is nothing to drive by: then the plan is followed while braking.
+        Without a measurement there is nothing to drive by: then, as in the paper's plain form, the
+        plan is followed while braking.
         """
         self._refused += 1
         h = self.horizon
         h.prediction[:] = h.schedule
         if self._refused <= REFUSALS:
             return "shifted"
-        if not self.informed:
+        if not (self.informed and self.drives_on):
             h.plan[:, 1] = BRAKING
             return "braking"
         last, step = float(h.queue[-1, 0]), float(h.du_max[0])

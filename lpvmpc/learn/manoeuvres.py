@@ -295,7 +295,8 @@ def _controller(name: str) -> Controller:
     # As the networks' data were driven: these parts came later. And without traction control, since
     # the data shall hold spinning wheels as well.
     full = Formulation(
-        decoupled=False, approach=False, steering=False, noise=False, traction=False
+        decoupled=False, approach=False, steering=False, noise=False, drive_on=False,
+        traction=False,
     )
     return LPVMPC(car, stiffness=stiffness, formulation=full, weights=NERVOUS_WEIGHTS)
 

@@ -165,6 +165,7 @@ PARTS: dict[str, tuple[str, dict[str, Any], dict[str, Any]]] = {
     "decoupled": ("speed errors never steer", {"decoupled": True}, {"decoupled": False}),
     "approach": ("led back from afar", {"approach": True}, {"approach": False}),
     "steering": ("learned steering", {"steering": True}, {"steering": False}),
+    "drive on": ("driving on unsolved", {"drive_on": True}, {"drive_on": False}),
     "noise": ("observer follows noise", {"noise": True}, {"noise": False}),
 }
 """Parts of the formulation in the order in which they are added: what they are, what adds them to
