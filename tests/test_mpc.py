@@ -14,7 +14,7 @@ from lpvmpc.errors import OptionError
 from lpvmpc.interface import Preview, State
 from lpvmpc.plant.mjcf import packaged_car
 
-TS, NP = 0.033, 12  # the horizon, and two periods of unknown latency
+TS, NP = 0.033, 13  # the horizon, and three periods of unknown latency
 
 
 @pytest.fixture(scope="module")
@@ -208,7 +208,7 @@ def test_a_measurement_that_is_no_number_is_survived(car):
 def test_a_preview_that_is_too_short_is_named(car):
     controller = linear_tires(car, delay=2)
     x = start(15.0, a=0.1)
-    with pytest.raises(OptionError, match="preview length is 13, but must be at least 15 points"):
+    with pytest.raises(OptionError, match="preview length is 14, but must be at least 16 points"):
         controller.command(state_of(x, np.zeros(NX)), preview_of(x, 0.0, 15.0))
 
 

@@ -49,7 +49,7 @@ def test_another_lag_is_found_within_seconds(car, lag):
         assert total == pytest.approx(lag * car.tau_delta, rel=0.15)
 
 
-@pytest.mark.parametrize("latency", [20, 33, 40, 66])
+@pytest.mark.parametrize("latency", [20, 33, 40, 66, 99])
 def test_lag_and_latency_add_up(car, latency):
     bank = learn(car, latency=latency, noise=1e-3)
     # a fraction of a period is met by the lag

@@ -34,7 +34,7 @@ def car():
     return packaged_car()
 
 
-def seen(ey=0.1, epsi=0.02, vx=15.0, kappa=0.005, n=12):
+def seen(ey=0.1, epsi=0.02, vx=15.0, kappa=0.005, n=13):
     """State and preview of a car beside its line in a wide bend."""
     state = State(0.0, 0.0, 0.0, vx, 0.02, kappa * vx, 0.01, 0.1, 1.0, np.full(4, vx / 0.3))
     flat = np.zeros(n + 1)

@@ -22,8 +22,8 @@ from lpvmpc.car.params import VehicleParams
 
 LAGS = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
 """Lags of the bank, as multiples of the data sheet's [-]."""
-LATENCIES = 3
-"""Latencies of the bank: 0, 1, 2 whole periods beyond the one that is known; what lies between is
+LATENCIES = 4
+"""Latencies of the bank: 0 to 3 whole periods beyond the one that is known; what lies between is
 met by a shorter or longer lag."""
 MEMORY = 15.0
 """Time over which errors are remembered [s]."""
