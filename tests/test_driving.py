@@ -113,10 +113,12 @@ class Parts:
         return total
 
 
-@pytest.mark.parametrize("search", [genetic, pso])
-def test_stopping_early_spares_work_and_changes_nothing(search):
+@pytest.mark.parametrize(
+    ("search", "settings"), [(genetic, genetic.GeneticSettings), (pso, pso.SwarmSettings)]
+)
+def test_stopping_early_spares_work_and_changes_nothing(search, settings):
     stopped, whole = Parts([]), Parts([])
-    how = {"seed": 3, "settings": search.Settings(generations=12, population=8)}
+    how = {"seed": 3, "settings": settings(generations=12, population=8)}
     one = search.minimise(stopped, np.zeros(5), np.ones(5), **how)
     other = search.minimise(lambda x: whole(x), np.zeros(5), np.ones(5), **how)
     assert one.best.tolist() == other.best.tolist() and one.cost == other.cost  # bit for bit

@@ -85,16 +85,16 @@ def test_start_up_is_measured_on_the_real_command(monkeypatch):
     times = speed_processes.measure_start(rounds=1)
     named = {f.key: f.value for f in times}
     # Ten times the bars: this machine may be busy, but nothing may hang or compile.
-    assert 0.1 < named["help_s"] < 15.0
-    assert 0.1 < named["first_step_s"] < 40.0
-    assert 0.1 < named["first_step_cpu_s"]
+    assert 0.02 < named["help_s"] < 15.0
+    assert 0.02 < named["first_step_s"] < 40.0
+    assert 0.02 < named["first_step_cpu_s"]
 
 
 def test_the_calibration_runs_two_processes(monkeypatch):
     named = {f.key: f.value for f in speed_processes.measure_rollouts(1, 2, 1)}
     assert named["rollout_1_realtime_factor"] > 1.0
     # Between far less than one core (others are busy) and somewhat more than two (noise).
-    assert 0.1 < named["two_process_scaling"] < 4.0
+    assert 0.02 < named["two_process_scaling"] < 4.0
 
 
 @pytest.mark.skipif(not Path("/proc/stat").exists(), reason="only Linux tells others' work")
