@@ -379,3 +379,11 @@ def test_bars_of_the_picture_are_shares_of_the_range():
     axes = figure.axes[0]
     assert [bar.get_width() for bar in axes.patches] == [0.25, 1.0]
     assert [t.get_text() for t in axes.get_xticklabels()] == ["0", "100", "200"]
+
+
+def test_the_report_says_where_each_controllers_weights_come_from():
+    from lpvmpc.bench.report import origins
+
+    said = origins(["lpv-mpc", "stanley", "absent"])
+    assert said == ("Weights were set by hand for `lpv-mpc`, `absent`; tuned in the ideal world "
+                    "alone for `stanley`.")

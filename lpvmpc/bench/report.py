@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
@@ -128,6 +129,25 @@ def weights() -> str:
 
     used = asdict(shipped("lpv-mpc", Weights()))
     return ", ".join(f"{name} {value:g}" for name, value in used.items())
+
+
+def origins(controllers: Iterable[str]) -> str:
+    """Where the weights of each controller come from, by the records of their files."""
+    from lpvmpc.control.weights_file import shipped_file
+
+    groups: dict[str, list[str]] = {}
+    for name in controllers:
+        file = shipped_file(name)
+        record = tomllib.loads(file.read_text()).get("record", {}) if file.exists() else {}
+        if not record.get("tuned_on"):
+            how = "set by hand"
+        elif record.get("worlds"):
+            how = f"tuned in {', '.join(dict.fromkeys(record['worlds']))}"
+        else:
+            how = "tuned in the ideal world alone"
+        groups.setdefault(how, []).append(f"`{name}`")
+    parts = [f"{how} for {', '.join(names)}" for how, names in groups.items()]
+    return f"Weights were {'; '.join(parts)}."
 
 
 def cell(row: Measured | None) -> str:

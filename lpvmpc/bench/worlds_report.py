@@ -10,7 +10,7 @@ from typing import Any
 
 from lpvmpc.bench.cases import CHARGE
 from lpvmpc.bench.margins import NOISE_SEEDS, OFF, Margin, finest
-from lpvmpc.bench.report import cell, short, weights
+from lpvmpc.bench.report import cell, origins, short, weights
 from lpvmpc.bench.verdict import MATTERS
 from lpvmpc.bench.worlds import (
     COMBINED,
@@ -23,6 +23,7 @@ from lpvmpc.bench.worlds import (
     RAW,
     ROADS,
     SAMPLED,
+    SHIPPED,
     TUNING_SEEDS,
     DrivenCell,
     GridPlan,
@@ -44,7 +45,7 @@ speed, control every 33 ms. What is scored is the true centre of mass, at every 
 from the first: lateral RMSE and largest error. Speeds are planned for the nominal car on a dry \
 road: "circuit 65 %" asks for 65 % of its lateral grip, without wind; `paper` has its side wind.
 - The controller and the estimator know the nominal car and nothing of what is wrong. One set of \
-weights drives everything, for `lpv-mpc`: {weights}.
+weights drives everything, for `lpv-mpc`: {weights}. {origins}
 - A run is lost when the car is more than 5 m off the path (on a road that states its widths also \
 2 m beyond its edge), turned by more than 90 degrees, rolled over, stuck, or needs twice the \
 reference's time. A lost run counts as the worst there is and is never dropped: a percentile that \
@@ -86,8 +87,8 @@ def report(found: Found, *, jobs: int, pictures: Sequence[str]) -> str:
         f"model; tuning uses seeds below {TUNING_SEEDS}, so none of these. {len(rows)} runs.",
         *([f"Not driven yet: {', '.join(missing)}."] if missing else []),
         "",
-        DEFINITIONS.format(weights=weights(), off=OFF, steps=plan.margin_steps,
-                           halvings=plan.margin_halvings,
+        DEFINITIONS.format(weights=weights(), origins=origins(SHIPPED), off=OFF,
+                           steps=plan.margin_steps, halvings=plan.margin_halvings,
                            noise=NOISE_SEEDS, matters=MATTERS, resolved=1e3 * RESOLVED),
         "## Verdict",
         "",

@@ -185,7 +185,7 @@ def shipped_weights(by_hand: Mapping[str, Mapping[str, float]]) -> dict[str, dic
     found = {}
     for name, values in by_hand.items():
         file = shipped_file(name)
-        if file.exists():
+        if tuned_on(name):  # a file may also hold weights that were set by hand
             found[name] = {**values, **read_weights(file, name)}
     return found
 

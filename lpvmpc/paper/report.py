@@ -140,10 +140,10 @@ def weights_sentence(e: Evidence) -> str:
     if tuned:
         roads = ", ".join(e.tuned_on) or "unknown roads"
         text = (f"Weights of {', '.join(tuned)}: {how}, tuned on {roads}, with the same budget of "
-                "evaluations for every controller.")
+                "evaluations for each, in the ideal world.")
     if by_hand:
         text += (" " if text else "") + (
-            f"Weights of {', '.join(by_hand)}: set by hand, since no tuned ones are shipped; they "
+            f"Weights of {', '.join(by_hand)}: set by hand, not tuned; they "
             'drive in the tables of "tuned" weights too.'
         )
     if "networks" in e.anew:
