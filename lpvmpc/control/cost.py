@@ -49,7 +49,7 @@ class Weights:
     """Everything that is tuned. Weights are per second and normalised by `UNITS`.
 
     The values here are set by hand; what the controller drives with where none are given is
-    `weights/lpv-mpc.toml`, which `eval/tune.py` wrote.
+    `weights/lpv-mpc.toml`, whose record says where they come from.
     """
 
     RANGES: ClassVar[dict[str, tuple[float, float]]] = {
