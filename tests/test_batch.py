@@ -1,15 +1,18 @@
 import dataclasses
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import textwrap
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from lpvmpc.control.rivals import Rival
 from lpvmpc.errors import LPVMPCError, OptionError
 from lpvmpc.sim import batch
 from lpvmpc.sim.batch import KEPT, Run, drive_all
@@ -136,8 +139,32 @@ def test_the_key_is_that_of_all_a_run_depends_on(road, tmp_path, monkeypatch, us
     own = at(road, 10.0, controller="mine:Own").key()
     user_module("x = 2\n")
     assert at(road, 10.0, controller="mine:Own").key() != own
-    monkeypatch.setattr(batch, "foundation", lambda: "edited")
+    monkeypatch.setattr(batch, "foundation", lambda rival: "edited")
     assert at(road, 10.0, controller="mine:Own").key() != own
+
+
+def test_a_rival_voids_no_results_but_those_of_rivals(tmp_path, monkeypatch):
+    """So that the slow ones of the others are driven once."""
+    package = tmp_path / "lpvmpc"
+    left_out = shutil.ignore_patterns("__pycache__", "_numba_cache*")
+    shutil.copytree(Path(batch.__file__).parents[1], package, ignore=left_out)
+    monkeypatch.setattr(batch.resources, "files", lambda _: package)
+    monkeypatch.setitem(batch.RIVALS, "stanley", Rival(module="none", maker="None"))
+    names = ("lpv-mpc", "stanley")
+
+    def keys():
+        batch.foundation.cache_clear()
+        return [Run(controller=name).key() for name in names]
+
+    first = keys()
+    (package / "control" / "rivals" / "another.py").write_text("x = 1\n")
+    second = keys()
+    assert second[0] == first[0] and second[1] != first[1]
+    (package / "control" / "qp.py").write_text("x = 1\n")
+    third = keys()
+    assert third[0] != first[0] and third[1] != second[1]
+    monkeypatch.undo()
+    batch.foundation.cache_clear()
 
 
 def test_a_run_is_plain_and_hashable(road):

@@ -226,7 +226,7 @@ def test_another_task_is_not_resumed(checkpoint, monkeypatch):
 
 
 def test_another_version_of_the_package_is_not_resumed(checkpoint, monkeypatch):
-    monkeypatch.setattr(batch, "foundation", lambda: "another")
+    monkeypatch.setattr(batch, "foundation", lambda rival: "another")
     with pytest.raises(DataError, match="with another version of the package"):
         tune(TASK, checkpoint=checkpoint, resume=True)
 

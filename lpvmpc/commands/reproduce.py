@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lpvmpc.control.registry import CONTROLLERS
+from lpvmpc.control.registry import CORE
 from lpvmpc.kit import cli
 from lpvmpc.kit.findings import promises_sentence
 from lpvmpc.kit.progress import Bar
@@ -97,7 +97,7 @@ def retune(cache: Path, jobs: int, quick: bool, say: Say) -> dict[str, Tuning]:
     from lpvmpc.tune import tuning
 
     found = {}
-    for name in CONTROLLERS:
+    for name in CORE:
         task = tuning.Task(controller=name)
         folder = cache / "tuning" / name
         if quick:

@@ -53,7 +53,7 @@ class Options:
     """Parts to drive: deviations, worlds, margins, adaptation (default: all); with --resume, the
     report also holds the others where they were driven before."""
     controllers: tuple[str, ...] = ()
-    """Who drives: names, or module:Class of your own (default: all of the package)."""
+    """Who drives: names, or module:Class of your own (default: all but the rivals)."""
     out: Path | None = None
     """Folder for worlds.md, .csv, .json and .png (default: docs/results)."""
     cache: Path = Path("runs/worlds")

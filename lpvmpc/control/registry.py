@@ -1,7 +1,8 @@
 """The package's controllers and stiffness models by name.
 
 A new controller is one file with a class or maker that takes the car first (`interface` says what
-it must have), and one line in `CONTROLLERS`; its tuned weights lie in `weights/NAME.toml`.
+it must have), and one line in `CONTROLLERS`; its tuned weights lie in `weights/NAME.toml`. A rival
+has its line in `rivals.RIVALS`, its file and its weights beside it.
 """
 
 from __future__ import annotations
@@ -11,7 +12,8 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from lpvmpc.errors import OptionError, UnknownNameError
+from lpvmpc.control.rivals import RIVALS
+from lpvmpc.errors import ControllerError, OptionError, UnknownNameError
 
 if TYPE_CHECKING:  # the help of a command lists the names, and must come at once
     from lpvmpc.car.params import VehicleParams
@@ -25,8 +27,12 @@ CONTROLLERS = {
     "lmpc-pso-pid": ("lmpc", "LMPC"),
     "stanley": ("geometric", "Stanley"),
     "pure-pursuit": ("geometric", "PurePursuit"),
+    **{name: (f"rivals.{rival.module}", rival.maker) for name, rival in RIVALS.items()},
 }
 """Controllers by name: module of this package, and class or maker; the default first."""
+CORE = tuple(name for name in CONTROLLERS if name not in RIVALS)
+"""The paper's controllers, ours and the simple ones: what the commands that tell of the paper, of
+adaptation and of worlds compare unless told otherwise."""
 
 STIFFNESS_MODELS = {
     "constant": ("stiffness.models", "ConstantStiffness"),
@@ -56,9 +62,15 @@ def make_controller(
     Raises:
         UnknownNameError: No such controller, stiffness model or part of a formulation.
         OptionError: An option outside its domain, or one that this controller does not have.
+        ControllerError: A package that it needs is not installed.
     """
     if name not in CONTROLLERS:
         raise UnknownNameError("controller", name, [*CONTROLLERS, "module:Class (your own)"])
+    if (rival := RIVALS.get(name)) is not None and (package := rival.missing()) is not None:
+        raise ControllerError(
+            f"Controller {name!r} needs the package {package}; install it with: pip install "
+            f"'lpvmpc[{rival.extra}]'."
+        )
     maker = _attribute(*CONTROLLERS[name])
     known = inspect.signature(maker).parameters
     if "stiffness" in known:

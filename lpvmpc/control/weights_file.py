@@ -110,8 +110,10 @@ def apply(weights: WeightsT, changes: Mapping[str, float], source: str = "weight
 
 
 def shipped_file(controller: str) -> Path:
-    """Where the package keeps a controller's tuned weights."""
-    return Path(str(resources.files("lpvmpc.control") / "weights" / f"{controller}.toml"))
+    """Where the package keeps a controller's tuned weights; a rival's lie beside it."""
+    package = Path(str(resources.files("lpvmpc.control")))
+    beside = package / "rivals" / "weights" / f"{controller}.toml"
+    return beside if beside.exists() else package / "weights" / f"{controller}.toml"
 
 
 def shipped(controller: str, by_hand: WeightsT) -> WeightsT:

@@ -6,6 +6,7 @@ import hashlib
 import os
 import platform
 import subprocess
+from collections.abc import Iterable
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -25,8 +26,13 @@ CODE = (":(top)", ":(top,exclude)docs/results")
 @cache
 def versions() -> dict[str, str]:
     """Versions of lpvmpc, Python and the packages that a trace depends on."""
-    found = {"lpvmpc": __version__, "python": platform.python_version()}
-    for package in PACKAGES:
+    return {"lpvmpc": __version__, "python": platform.python_version(), **versions_of(PACKAGES)}
+
+
+def versions_of(packages: Iterable[str]) -> dict[str, str]:
+    """Versions of installed packages, and which are not installed."""
+    found = {}
+    for package in packages:
         try:
             found[package] = version(package)
         except PackageNotFoundError:

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from lpvmpc.control.registry import CONTROLLERS
+from lpvmpc.control.registry import CORE
 from lpvmpc.paper.printed_formulas import SLIPS, controller
 from lpvmpc.sim.batch import Run
 
@@ -186,7 +186,7 @@ def entries(equipment: Equipment) -> list[Entry]:
 def _controllers(equipment: Equipment) -> Iterable[Entry]:
     """All controllers; those without tuned weights drive by hand in both groups."""
     for group, by_hand in (("tuned", False), ("by hand", True)):
-        for name in CONTROLLERS:
+        for name in CORE:
             yield Entry(group=group, key=name, text=name, controller=name,
                         options=equipment.options(name, by_hand=by_hand))
             if name == PLAIN:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 
 from lpvmpc.bench.cases import geometric_mean
-from lpvmpc.control.registry import CONTROLLERS
+from lpvmpc.control.registry import CORE
 from lpvmpc.paper.measurements import DrivenEntry, Evidence
 from lpvmpc.paper.printed_formulas import SLIPS
 from lpvmpc.paper.printed_numbers import PAPER_RATIO, ratio
@@ -164,7 +164,7 @@ def _without(e: Evidence) -> str | None:
 def _weights(e: Evidence) -> str | None:
     """What tuning has changed, per controller."""
     parts = []
-    for name in CONTROLLERS:
+    for name in CORE:
         if name not in e.equipment.tuned:
             continue
         tuned, by_hand = ([row for row in e.rows if row.entry.group == group

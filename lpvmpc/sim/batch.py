@@ -18,9 +18,10 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lpvmpc.control.rivals import RIVALS
 from lpvmpc.errors import LPVMPCError, OptionError, described
 from lpvmpc.kit.files import write_json
-from lpvmpc.kit.provenance import versions
+from lpvmpc.kit.provenance import versions, versions_of
 from lpvmpc.kit.workers import check, workers
 from lpvmpc.plant import deviations
 from lpvmpc.plant.mjcf import model_path
@@ -39,6 +40,8 @@ FOUNDATION = (
     "sensing/**/*", "sim/**/*",
 )
 """What a closed loop stands on, by the import contract: a change there makes kept results void."""
+APART = "control/rivals"
+"""What none but the rivals themselves stand on."""
 KEPT = (*KEYS, "jerk_rms_mps3")
 """What is kept of a run: its `metrics`, and the lateral jerk."""
 DIED = (
@@ -113,7 +116,7 @@ class Run:
         Two runs of one key have the same trace; only their times differ.
         """
         digest = hashlib.sha256(self._text().encode())
-        digest.update(foundation().encode())
+        digest.update(foundation(self.controller in RIVALS).encode())
         for file in self._own_files():
             digest.update(file.read_bytes())
         return digest.hexdigest()[:32]
@@ -144,16 +147,27 @@ def _source(module: str) -> Path | None:
 
 
 @cache
-def foundation() -> str:
-    """Hash of what every run stands on: sources, weights, data, the model's XML, versions."""
+def foundation(rival: bool = False) -> str:
+    """Hash of what every run stands on: sources, weights, data, the model's XML, versions.
+
+    Args:
+        rival: Whether one of `RIVALS` drives, on whom no other controller's runs depend.
+    """
     digest = hashlib.sha256(json.dumps(versions(), sort_keys=True).encode())
     package = Path(str(resources.files("lpvmpc")))
+    apart = package / APART
     files = [f for name in FOUNDATION for f in package.glob(name) if f.is_file()]
-    assert len(files) > 40, "what a closed loop depends on has moved"
+    assert len(files) > 40 and apart / "__init__.py" in files, (
+        "what a closed loop depends on has moved"
+    )
+    files = [f for f in files if rival or not f.is_relative_to(apart)]
     files += model_path("vehicle.xml").parent.glob("*.xml")
     for file in sorted(files):
         if "__pycache__" not in file.parts:
             digest.update(file.name.encode() + b"\0" + file.read_bytes() + b"\0")
+    if rival:
+        used = sorted({package for one in RIVALS.values() for package in one.packages})
+        digest.update(json.dumps(versions_of(used), sort_keys=True).encode())
     return digest.hexdigest()
 
 

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from lpvmpc.control.registry import CONTROLLERS
+from lpvmpc.control.rivals import RIVALS
 from lpvmpc.control.weights_file import apply, as_dict
 from lpvmpc.errors import DataError, LPVMPCError, OptionError, UnknownNameError
 from lpvmpc.kit.files import write_json
@@ -108,7 +109,7 @@ class Task:
             "population": self.population,
             "seed": self.seed,
             "prices": driving.prices(),
-            "foundation": batch.foundation(),
+            "foundation": batch.foundation(self.controller in RIVALS),
         }
 
 

@@ -1,0 +1,34 @@
+"""Rivals: controllers that the package's own are measured against, one file each.
+
+What lies here decides the runs of rivals alone: adding one, or changing one, leaves the kept
+results of all other controllers valid (`sim.batch`). So nothing outside may import from here but
+the table below. Tuned weights lie in `rivals/weights/NAME.toml`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.util import find_spec
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rival:
+    """Where a rival is, and what it needs."""
+
+    module: str
+    """File of this package that holds it."""
+    maker: str
+    """Its class or maker, which takes the car first."""
+    packages: tuple[str, ...] = ()
+    """Packages that it imports beside those that lpvmpc needs."""
+    extra: str = ""
+    """Extra of lpvmpc that installs them."""
+
+    def missing(self) -> str | None:
+        """The first of its packages that is not installed."""
+        return next((name for name in self.packages if find_spec(name) is None), None)
+
+
+RIVALS: dict[str, Rival] = {
+}
+"""Rivals by name; `registry.CONTROLLERS` has them too."""
