@@ -6,7 +6,8 @@ from threadpoolctl import threadpool_limits
 
 from lpvmpc.car.bicycle import CORRECTED, EPSI, EY, NU, NX, VX, Bicycle, lpv
 from lpvmpc.car.hold import discretise
-from lpvmpc.control.cost import NZ, SPEEDS, cost_to_go
+from lpvmpc.control.cost import NZ, SPEEDS, cost_to_go, terminal_weight
+from lpvmpc.control.lpv_mpc import LPVMPC
 from lpvmpc.plant.mjcf import packaged_car
 
 TS = 0.033
@@ -71,3 +72,18 @@ def test_the_weight_has_the_same_bytes_for_any_number_of_threads(params):
         with threadpool_limits(threads, user_api="blas"):
             found.add(cost_to_go(*arguments).tobytes())
     assert len(found) == 1
+
+
+@pytest.mark.parametrize(("steering", "drive"), [(1.0, 1.0), (2.0, 1.0), (1.0, 4.0), (3.0, 2.0)])
+def test_each_lag_has_its_own_terminal_weight(params, steering, drive):
+    """On a straight road steering and drive have no common state: their lags can be mixed."""
+    controller = LPVMPC(params)
+    h, car = controller.horizon, controller.bicycle
+    lags = steering * car.tau_delta, drive * car.tau_ax
+    terminal_weight(h.handle, SPEEDS[7], lags)
+    other = car._replace(tau_delta=lags[0], tau_ax=lags[1])
+    tires = np.array([params.Cf, 0.0, params.Cr, 0.0])
+    exact = cost_to_go(other, tires, h.q[0], h.r_du, h.Ts)[7]
+    np.testing.assert_allclose(
+        h.terminal, controller.weights.terminal * exact, rtol=1e-6, atol=1e-9 * abs(exact).max()
+    )

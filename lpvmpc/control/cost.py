@@ -202,13 +202,13 @@ def _used(car: Bicycle, state: int) -> bool:
 
 
 @njit(cache=True)
-def terminal_weight(h, vx, lag):
+def terminal_weight(h, vx, lags):
     """Terminal weight at a speed, and the steady state that it pulls towards, in place.
 
     Args:
         h: Handle of a `Horizon`: `table` and `x_ref` are read, `terminal` and `z_ref` written.
         vx: Reference speed at the end of the horizon [m/s].
-        lag: Lag of the steering [s].
+        lags: Lags of steering and drive [s].
     """
     table, weight, z_ref, x_ref = h.table, h.terminal, h.z_ref, h.x_ref[-1]
     n = len(SPEEDS)
@@ -216,20 +216,30 @@ def terminal_weight(h, vx, lag):
     while k < n - 2 and SPEEDS[k + 1] < vx:
         k += 1
     share = min(max((vx - SPEEDS[k]) / (SPEEDS[k + 1] - SPEEDS[k]), 0.0), 1.0)
-    lags, first = h.table_lags, 0
-    while first < len(lags) - 2 and lags[first + 1] < lag:
-        first += 1
-    for i in range(NZ):
-        for j in range(NZ):
-            weight[i, j] = (1.0 - share) * table[k, i, j] + share * table[k + 1, i, j]
-    if len(lags) > 1 and lag > lags[first]:
-        between = min((lag - lags[first]) / (lags[first + 1] - lags[first]), 1.0)
-        k += n * first
+    for servo in range(2):
+        first, between = 0, 0.0
+        known = h.table_lags[:, servo]
+        if len(known) > 1:
+            while first < len(known) - 2 and known[first + 1] < lags[servo]:
+                first += 1
+            between = (lags[servo] - known[first]) / (known[first + 1] - known[first])
+            between = min(max(between, 0.0), 1.0)
+        near, far = k + n * first, k + n * min(first + 1, len(known) - 1)
         for i in range(NZ):
             for j in range(NZ):
-                near = (1.0 - share) * table[k, i, j] + share * table[k + 1, i, j]
-                far = (1.0 - share) * table[k + n, i, j] + share * table[k + n + 1, i, j]
-                weight[i, j] = (1.0 - between) * near + between * far
+                # the drive's lag is that of the speed and what drives it, on a straight road alone
+                if (_drives(i) and _drives(j)) == (servo == 1):
+                    value = (1.0 - share) * table[near, i, j] + share * table[near + 1, i, j]
+                    if between > 0.0:
+                        more = (1.0 - share) * table[far, i, j] + share * table[far + 1, i, j]
+                        value = (1.0 - between) * value + between * more
+                    weight[i, j] = value
     for i in range(NX):
         z_ref[i] = x_ref[i]
     z_ref[NX], z_ref[NX + 1] = x_ref[DELTA], x_ref[A]
+
+
+@njit(cache=True)
+def _drives(i):
+    """Whether a part of the terminal error belongs to the speed and its drive."""
+    return i == VX or i == A or i == NX + 1

@@ -59,7 +59,7 @@ class Horizon:
     """Terminal weights, at each of `cost.SPEEDS` for one of `table_lags` after the other, shape
     (16 n_lags, nx + nu, nx + nu)."""
     table_lags: Array
-    """Lags of the steering that the terminal weights are for [s], shape (n_lags,)."""
+    """Lags of steering and drive that the terminal weights are for [s], shape (n_lags, 2)."""
     terminal: Array
     """Terminal weight of this period, symmetric, shape (nx + nu, nx + nu)."""
     z_ref: Array
@@ -143,6 +143,9 @@ class Horizon:
     """Estimated acceleration that the model lacks, of (vx, vy, r), shape (3,)."""
     unmodelled: Array
     """Acceleration of (vy, r) that the model without observer left unexplained, shape (2,)."""
+    driven: Array
+    """What drive and brakes gave at its end, as the measured acceleration tells it [m/s2], shape
+    (1,)."""
     acting: Array
     """Affine forces of the axles in the period before, shape (4,)."""
     slips: Array
@@ -219,7 +222,8 @@ class Horizon:
             "queue": (delay + unknown + 1, 2), "x_last": (ns,), "kappa_last": (1,),
             "predicted": (ns,), "inner": (5,), "gain": (3,), "disturbance": (3,),
             "unmodelled": (2,), "acting": (4,), "slips": (2,), "allowed": (2,), "lateness": (1,),
-            "soft_bound": (1,), "table_lags": (1,), "noise": (3,), "error": (3,), "walk": (3,),
+            "soft_bound": (1,), "table_lags": (1, 2), "driven": (1,), "noise": (3,), "error": (3,),
+            "walk": (3,),
         }
         if "table_lags" in constants:
             shapes["table_lags"] = np.shape(constants["table_lags"])

@@ -54,17 +54,18 @@ from lpvmpc.control.formulation import (
 )
 from lpvmpc.control.horizon import Horizon
 from lpvmpc.control.period import estimate, thin, write
-from lpvmpc.control.steering import LATENCIES, SteeringBank
+from lpvmpc.control.servo import LATENCIES, ServoBank, drive_of, steering_of
 from lpvmpc.control.stiffness.models import ConstantStiffness, NetworkStiffness, StiffnessModel
 from lpvmpc.control.tracker import Tracker, checked_delay
 from lpvmpc.control.weights_file import chosen
 from lpvmpc.interface import Preview, State
 from lpvmpc.units import Array
 
-TAU_DELTA = Bicycle._fields.index("tau_delta")
-"""Place of the steering's lag among the model's constants."""
-TABLE_LAGS = (1.0, 2.0, 3.0)
-"""Lags of the steering that terminal weights are made for, as multiples of the data sheet's."""
+TAU_DELTA, TAU_AX = Bicycle._fields.index("tau_delta"), Bicycle._fields.index("tau_ax")
+"""Places of the lags of steering and drive among the model's constants."""
+TABLE_LAGS = ((1.0, 1.0), (2.0, 2.0), (3.0, 4.0))
+"""Lags of steering and drive that terminal weights are made for, as multiples of the data sheet's.
+On a straight road the two have no common state, so each is interpolated by itself."""
 WALK = np.array([2.0, 2.0, 2.0])
 """How far a disturbance is believed to move within a second [m/s2, m/s2, rad/s2]: the paper's wind
 rises by 3 m/s2 in one."""
@@ -109,7 +110,8 @@ class LPVMPC(Tracker):
         parts = {part: getattr(form, part) for part in ("lags", "relaxation", "roll", "trail")}
         self.bicycle = Bicycle.of(car).simplified(**parts)
         self._learn = getattr(stiffness, "learn", None)  # a model that adapts to the road
-        self.steering = SteeringBank(car, form.Ts, delay) if form.steering else None
+        learned = (steering_of, drive_of) if form.steering and form.lags else ()
+        self.banks = [ServoBank(servo(car), form.Ts, delay) for servo in learned]
         super().__init__(car, _horizon(car, self.bicycle, form, self.weights, delay))
 
     def reset(self, rng: np.random.Generator) -> None:
@@ -133,16 +135,22 @@ class LPVMPC(Tracker):
             self._begin(x, state, preview)
         elif not self.informed:  # the period before was not measured: no prediction to compare with
             x[A:] = h.inner
-        bank = self.steering
-        if bank is not None and self.informed is not None:
-            h.car[TAU_DELTA], h.lateness[0] = bank.update(state.delta)
-        a = estimate(h.handle, x, preview.kappa, bool(self.informed))
+        if self.banks and self.informed is not None:
+            steering, drive = self.banks
+            h.car[TAU_DELTA], h.lateness[0] = steering.update(state.delta)
+        a = estimate(h.handle, x, preview.kappa, bool(self.informed), state.ax)
+        if self.banks and self.informed:
+            h.car[TAU_AX], _ = drive.update(h.driven[0], steering.latency)
         if self.informed and self._learn is not None:
             self._learn(h.unmodelled, h.acting, h.slips, a, state.ay)
 
-    def ask(self, delta: float) -> float:
+    def ask(self, delta: float, ax: float) -> float:
         """The angle to ask for, so that the wheels have this one [rad]."""
-        return delta if self.steering is None else self.steering.ask(delta)
+        if not self.banks:
+            return delta
+        steering, drive = self.banks
+        drive.asked(ax)
+        return steering.ask(delta)
 
     def write_qp(self, state: State, preview: Preview) -> None:
         """Adapt, discretise, and write the QP."""
@@ -171,9 +179,9 @@ class LPVMPC(Tracker):
         u = x[[DELTA, A]]
         h.queue[:] = u
         h.plan[:] = u
-        if self.steering is not None:
-            self.steering.reset(x[DELTA])
-            h.car[TAU_DELTA] = self.bicycle.tau_delta
+        for bank, value in zip(self.banks, (x[DELTA], x[A]), strict=False):
+            bank.reset(value)
+        h.car[[TAU_DELTA, TAU_AX]] = self.bicycle.tau_delta, self.bicycle.tau_ax
         h.schedule[:, A] = x[A]
         thin(h.schedule, h.knots)
 
@@ -186,11 +194,12 @@ def _horizon(
     q = stage_weights(weights, ("vx", "vy", "r", "ey", "epsi"), N, NX, Ts)
     r_du = increment_weights(weights, ("delta", "ax"), Ts)
     steady = form.reference == "steady"
-    lags = bicycle.tau_delta * np.array(TABLE_LAGS if form.steering else (1.0,))
+    nominal = np.array([bicycle.tau_delta, bicycle.tau_ax])
+    lags = nominal * (TABLE_LAGS if form.steering and form.lags else TABLE_LAGS[:1])
     table = np.zeros((len(SPEEDS) * len(lags), NZ, NZ))
     if weights.terminal > 0.0 and steady:
         axle_forces = np.array([car.Cf, 0.0, car.Cr, 0.0])
-        cars = [bicycle._replace(tau_delta=float(lag)) for lag in lags]
+        cars = [bicycle._replace(tau_delta=float(lag), tau_ax=float(slow)) for lag, slow in lags]
         costs = [cost_to_go(one, axle_forces, q[0], r_du, Ts) for one in cars]
         table = weights.terminal * np.concatenate(costs)
     return Horizon.allocated(
@@ -209,7 +218,7 @@ def _horizon(
         table_lags=lags,
         decoupled=form.decoupled,
         approach=form.approach,
-        unknown=LATENCIES - 1 if form.steering else 0,
+        unknown=LATENCIES - 1 if form.steering and form.lags else 0,
         walk=(WALK if form.noise else np.inf),
         slack_weights=SLACK_WEIGHTS,
         delta_max=min(DELTA_MAX_PAPER, car.delta_max),

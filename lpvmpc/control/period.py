@@ -190,7 +190,7 @@ def write(h, kappa, vx_ref, wheel_speed, friction):
         )
     freeze(h, kappa, car)
     references(h, kappa, vx_ref, car)
-    terminal_weight(h, vx_ref[len(h.plan)], car.tau_delta)
+    terminal_weight(h, vx_ref[len(h.plan)], (car.tau_delta, car.tau_ax))
     # the tires' peak moves to smaller slip as the road gets slippery
     bounds(h, car, h.slip_cap * min(friction, 1.0), force)
     condense(h)
@@ -246,7 +246,7 @@ def advance(h, x, x_next, kappa, kappa_next, u, out):
 
 
 @njit(cache=True)
-def estimate(h, x, kappa, compared):
+def estimate(h, x, kappa, compared, ax):
     """Learn from the measured state, and predict from it to where the plan begins, in place.
 
     Args:
@@ -254,12 +254,13 @@ def estimate(h, x, kappa, compared):
         x: Measured state, shape (11,); if `compared`, what cannot be measured is filled in.
         kappa: Curvature from now on [1/m].
         compared: Whether there is a period before, to compare its prediction with x.
+        ax: Measured longitudinal acceleration [m/s2].
 
     Returns:
         Acceleration of the drive [m/s2].
     """
     if compared:
-        compare(h, x, kappa[0])
+        compare(h, x, kappa[0], ax)
     h.x_last[:] = x
     h.kappa_last[0] = kappa[0]
     start, ahead = h.schedule[0], np.empty(NX)
@@ -274,11 +275,12 @@ def estimate(h, x, kappa, compared):
 
 
 @njit(cache=True)
-def compare(h, x, kappa):
+def compare(h, x, kappa, ax):
     """Compare the measured state with what the model expected for it, in place.
 
     Fills in what is not measured, tells the tires' error and the forces and slips that go with it
-    (`unmodelled`, `acting`, `slips`), and moves the disturbance.
+    (`unmodelled`, `acting`, `slips`) and what the drive gave
+    (`driven`), and moves the disturbance.
     """
     predicted, disturbance = h.predicted, h.disturbance
     in_force = h.queue[len(h.queue) - 1 - h.delay - int(h.lateness[0])]
@@ -287,6 +289,10 @@ def compare(h, x, kappa):
     for i in range(2):
         h.unmodelled[i] = disturbance[1 + i] + (x[1 + i] - predicted[1 + i]) / h.Ts
         h.slips[i] = 0.5 * (h.x_last[AF + i] + predicted[AF + i])
+    # what is measured of the speed's change, less what the model says of all but the drive
+    drive = 0.5 * (h.x_last[A] + predicted[A])
+    others = (predicted[VX] - h.x_last[VX]) / h.Ts - drive - disturbance[VX]
+    h.driven[0] = ax + x[R] * x[VY] - others
     for i in range(A, NX):
         h.inner[i - A] = x[i] = predicted[i]
     update(disturbance, predicted, x, h.gain, LIMIT, h.walk, h.noise, h.error, h.Ts)

@@ -167,10 +167,15 @@ class Tracker:
             h.prediction[:, :5].copy(),
             h.disturbance.copy(),
         )
-        return Command(self.ask(delta), ax)
+        return Command(self.ask(delta, ax), ax)
 
-    def ask(self, delta: float) -> float:
-        """The angle to ask for, so that the wheels have this one [rad]; here the same."""
+    def ask(self, delta: float, ax: float) -> float:
+        """The angle to ask for, so that the wheels have this one [rad]; here the same.
+
+        Args:
+            delta: Angle that the wheels are to have [rad].
+            ax: Acceleration that is asked for with it [m/s2].
+        """
         return delta
 
     def accept(self, z: Array) -> None:

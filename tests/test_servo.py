@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lpvmpc.control.steering import SteeringBank
+from lpvmpc.control.servo import ServoBank, drive_of, steering_of
 from lpvmpc.plant.mjcf import packaged_car
 
 TS = 0.033
@@ -16,7 +16,7 @@ def car():
 
 def learn(car, *, lag=1.0, latency=0, gain=1.0, offset=0.0, noise=0.0, size=0.05, time=20.0):
     """A bank that has watched a servo of another lag [factor], latency [ms], gain and offset."""
-    bank, rng = SteeringBank(car, TS), np.random.default_rng(0)
+    bank, rng = ServoBank(steering_of(car), TS), np.random.default_rng(0)
     delta, asked = 0.0, []
     for k in range(int(time / TS)):
         t = k * TS
@@ -69,3 +69,18 @@ def test_what_is_asked_for_keeps_the_servos_rate(car):
     step = car.delta_rate_max * TS
     asked = [bank.ask(delta) for delta in (0.3, -0.3, 0.3)]
     assert np.abs(np.diff(asked)).max() <= step + 1e-12
+
+
+@pytest.mark.parametrize("latency", [0, 1])
+@pytest.mark.parametrize("lag", [1.0, 2.0, 4.0])
+def test_the_drives_lag_is_found_in_an_acceleration_that_says_more(car, lag, latency):
+    bank, rng = ServoBank(drive_of(car), TS), np.random.default_rng(1)
+    tau, a, asked = lag * car.tau_ax, 0.0, [0.0]
+    for k in range(900):
+        t = k * TS
+        asked.append(bank.asked(3.0 * np.sin(0.5 * t) + 1.5 * np.sin(1.7 * t)))
+        command = asked[-1 - latency]
+        a += (1.0 - np.exp(-TS / tau)) * (0.9 * command - a)
+        found, _ = bank.update(a + 0.3 + 0.1 * rng.standard_normal(), latency)
+    assert found == pytest.approx(tau, rel=0.15)
+    assert bank.gain == pytest.approx(0.9, abs=0.03) and bank.latency == latency
