@@ -288,11 +288,11 @@ def test_a_run_that_raised_is_shown_and_charged():
 
 def test_report_csv_and_json_hold_every_run(tmp_path):
     rows = made_up({("circuit-1", "constant", False): result(3.0, lost_at=1234.0)})
-    text = ablation_report.report(rows, SEARCHES, quick=False, jobs=2, picture="benchmark.png")
+    text = ablation_report.report(rows, SEARCHES, quick=False, jobs=2, picture="ablation.png")
     head, _, tables = text.partition("## Tables")
     for part in ("Machine: ", "mujoco ", "Seeds: ", "Definitions:", "## Verdict", "q_ey"):
         assert part in head
-    assert "off at 1234 m" in tables and "(benchmark.png)" in tables
+    assert "off at 1234 m" in tables and "(ablation.png)" in tables
     assert not any(line != line.rstrip() for line in text.splitlines())
     lines = list(csv.DictReader(ablation_report.as_csv(rows).splitlines()))
     assert len(lines) == len(rows)

@@ -116,8 +116,8 @@ def report(
         "- Step times are CPU time of the thread on circuit at 87 %, and depend on what else the "
         "machine does.",
         "",
-        f"Made by `python eval/benchmark.py{' --quick' if quick else ''}`; every run is in "
-        "benchmark.csv beside this file.",
+        f"Made by `python eval/ablation.py{' --quick' if quick else ''}`; every run is in "
+        "ablation.csv beside this file.",
     ]
     return "\n".join(lines) + "\n"
 
@@ -263,7 +263,7 @@ COLUMNS = (
     "completed", "reason", "s_end_m", "duration_s", "reference_duration_s", "lateral_rmse_m",
     "lateral_max_m", "heading_rmse_rad", "course_rmse_rad", "speed_rmse_mps",
 )
-"""Metrics in benchmark.csv."""
+"""Metrics in ablation.csv."""
 
 
 def as_csv(rows: Iterable[DrivenCase]) -> str:

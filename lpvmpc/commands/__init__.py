@@ -17,7 +17,7 @@ COMMANDS = {
     "tune": "tune a controller's weights within a budget",
     "collect": "collect tire data: random manoeuvres up to the grip limit",
     "train": "train a network of the tires on such data",
-    "benchmark": "compare stiffness models in closed loop: accuracy, robustness",
+    "ablation": "compare stiffness models in closed loop: accuracy, robustness",
     "worlds": "drive in worlds that controllers are not told of: margins, samples",
     "fidelity": "run the fidelity studies of the simulated car",
     "reproduce": "put the paper's numbers and figures beside ours",

@@ -1,9 +1,9 @@
 """Measure what adapting the cornering stiffness is worth, and write the report.
 
-    lpvmpc benchmark --jobs 2
+    lpvmpc ablation --jobs 2
 
 Every stiffness model drives every case, with the disturbance observer and without it. Results are
-kept run by run, so that --resume goes on where an interrupted benchmark stopped. Exit codes: 0
+kept run by run, so that --resume goes on where an interrupted one stopped. Exit codes: 0
 measured, promises met or not; 2 bad input; 130 interrupted.
 """
 
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
     from lpvmpc.bench.cases import DrivenCase, FactorSearch
 
-NAME = "benchmark"
-QUICK_OUT = Path("runs/benchmark-quick")
+NAME = "ablation"
+QUICK_OUT = Path("runs/ablation-quick")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,14 +33,14 @@ class Options:
     """Compare stiffness models in closed loop: accuracy, survival, robustness."""
 
     quick: bool = False
-    """A look instead of the report: a few cases, into runs/benchmark-quick (unless --out)."""
+    """A look instead of the report: a few cases, into runs/ablation-quick (unless --out)."""
     resume: bool = False
-    """Use the results that an earlier benchmark has kept, where nothing they depend on changed."""
+    """Use the results that an earlier ablation has kept, where nothing they depend on changed."""
     jobs: int = 0
     """Number of processes (0: one per core)."""
     out: Path | None = None
-    """Folder for benchmark.md, .csv, .json and .png (default: docs/results)."""
-    cache: Path = Path("runs/benchmark")
+    """Folder for ablation.md, .csv, .json and .png (default: docs/results)."""
+    cache: Path = Path("runs/ablation")
     """Folder where results are kept, emptied unless --resume is given."""
     json: Path | None = None
     """Write the values to this file as well."""

@@ -11,8 +11,8 @@ from lpvmpc.bench import report as ablation_report
 from lpvmpc.bench.cases import Case
 from lpvmpc.sim import batch
 
-COMMAND = "benchmark"
-OUTPUT = ("benchmark.csv", "benchmark.json", "benchmark.md", "benchmark.png")
+COMMAND = "ablation"
+OUTPUT = ("ablation.csv", "ablation.json", "ablation.md", "ablation.png")
 
 
 @pytest.fixture
@@ -65,12 +65,12 @@ def test_the_report_is_what_was_driven(run, short, driven, tmp_path):
     assert (code, err) == (0, "")
     folder = tmp_path / "docs" / "results"
     assert sorted(file.name for file in folder.iterdir()) == sorted(OUTPUT)
-    values = json.loads((folder / "benchmark.json").read_text())
+    values = json.loads((folder / "ablation.json").read_text())
     assert values == json.loads((tmp_path / "copy" / "b.json").read_text())
-    rows = list(csv.DictReader((folder / "benchmark.csv").read_text().splitlines()))
+    rows = list(csv.DictReader((folder / "ablation.csv").read_text().splitlines()))
     assert len(rows) == 2 * 13 == len(values["runs"])
     assert all(row["completed"] == "True" for row in rows)
-    report = (folder / "benchmark.md").read_text()
+    report = (folder / "ablation.md").read_text()
     assert "quick" not in report.splitlines()[0]
     best = values["constant"]["yes"]["best"]
     assert f"nominal one: x{best:g}" in " ".join(out.split())
@@ -87,19 +87,19 @@ def test_a_quick_look_really_drives_says_so_and_leaves_the_report_alone(
     few = [m for m in ablation.MODELS if m.key in ("constant", "constant-best", "network")]
     monkeypatch.setattr(ablation, "MODELS", tuple(few))
     code, out, err = run("--quick", "--jobs", "1")
-    assert (code, err) == (0, "") and "Saved runs/benchmark-quick/" in out
-    folder = tmp_path / "runs" / "benchmark-quick"
-    report = (folder / "benchmark.md").read_text()
+    assert (code, err) == (0, "") and "Saved runs/ablation-quick/" in out
+    folder = tmp_path / "runs" / "ablation-quick"
+    report = (folder / "ablation.md").read_text()
     assert "quick look" in report.splitlines()[0] and "--quick" in report
     assert not (tmp_path / "docs").exists()
-    rows = list(csv.DictReader((folder / "benchmark.csv").read_text().splitlines()))
+    rows = list(csv.DictReader((folder / "ablation.csv").read_text().splitlines()))
     # a gentle bend: whoever drives it, the errors are small, and all different
     errors = [float(row["lateral_max_m"]) for row in rows]
     assert 0.0 < min(errors) and max(errors) < 0.1
     assert len(errors) == len(set(errors)) == 7  # twice three models, and the paper's controller
 
 
-def test_an_interrupted_benchmark_goes_on_where_it_stopped(
+def test_an_interrupted_ablation_goes_on_where_it_stopped(
     run, short, driven, no_picture, tmp_path, monkeypatch
 ):
     drive, limit = batch.drive, 10
@@ -119,16 +119,16 @@ def test_an_interrupted_benchmark_goes_on_where_it_stopped(
     assert len({one.key() for one in driven}) == len(driven)
     assert run("--jobs", "1", "--resume")[0] == 0
     assert len(driven) == 6 + 26
-    (tmp_path / "runs" / "benchmark" / "mine.json").write_text("{}")
+    (tmp_path / "runs" / "ablation" / "mine.json").write_text("{}")
     assert run("--jobs", "1")[0] == 0  # anew
     assert len(driven) == 2 * (6 + 26)
-    assert (tmp_path / "runs" / "benchmark" / "mine.json").exists()  # not ours, not removed
+    assert (tmp_path / "runs" / "ablation" / "mine.json").exists()  # not ours, not removed
 
 
 def test_there_must_be_something_to_resume(run, short, tmp_path):
     code, out, err = run("--resume", "--cache", tmp_path / "elsewhere")
     assert (code, out) == (2, "")
-    assert err.startswith("Error: --resume needs the results of an earlier benchmark, but ")
+    assert err.startswith("Error: --resume needs the results of an earlier ablation, but ")
     assert err.count("\n") == 1 and "leave --resume out" in err
 
 
