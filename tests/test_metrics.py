@@ -7,7 +7,17 @@ import pytest
 import lpvmpc
 from lpvmpc.interface import Command
 from lpvmpc.sim.loop import simulate
-from lpvmpc.sim.metrics import KEYS, jerk_rms, largest, metrics, rms, step_times, wrap
+from lpvmpc.sim.metrics import (
+    DETAILS,
+    KEYS,
+    details,
+    jerk_rms,
+    largest,
+    metrics,
+    rms,
+    step_times,
+    wrap,
+)
 
 
 class Straight:
@@ -37,6 +47,28 @@ def test_errors_are_taken_over_every_instant(log):
     result = metrics(log)
     assert result["lateral_max_m"] == pytest.approx(0.3)
     assert result["lateral_rmse_m"] == pytest.approx(0.3 / math.sqrt(n))
+
+
+def test_details_hold_what_a_comparison_needs_beside_the_metrics(log):
+    n, Ts = len(log), log.meta["Ts"]
+    log.columns["ey_m"] = np.where(np.arange(n) < 0.04 * n, 1.0, -0.01)  # 4 % of the instants
+    log.columns["ax_cmd_mps2"] = np.where(np.arange(n) % 2, 0.33, 0.0)
+    log.timing["step_us"] = np.full(n, 0.5e6 * Ts)
+    log.timing["step_us"][:3] = 1.5e6 * Ts
+    found = details(log)
+    assert tuple(found) == DETAILS
+    assert found["lateral_p95_m"] == pytest.approx(0.01)
+    assert found["drive_rate_rms_mps3"] == pytest.approx(0.33 / Ts)
+    assert (found["steps"], found["late_steps"]) == (n, 3)
+    json.dumps(found, allow_nan=False)
+
+
+def test_the_hash_of_a_trace_is_that_of_its_columns_and_of_no_times(log):
+    first = details(log)["trace_sha256"]
+    log.timing["step_us"] += 1.0
+    assert details(log)["trace_sha256"] == first
+    log.columns["vx_mps"][5] += 1e-12
+    assert details(log)["trace_sha256"] != first
 
 
 def test_course_adds_the_sideslip_to_the_heading(log):

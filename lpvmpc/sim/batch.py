@@ -27,7 +27,7 @@ from lpvmpc.plant import deviations
 from lpvmpc.plant.mjcf import model_path
 from lpvmpc.road.scenario import RoadFriction, Scenario
 from lpvmpc.sim.loop import simulate
-from lpvmpc.sim.metrics import KEYS, jerk_rms, metrics
+from lpvmpc.sim.metrics import DETAILS, KEYS, details, metrics
 from lpvmpc.sim.names import load_controller, load_scenario
 from lpvmpc.sim.world import load_world
 
@@ -42,8 +42,8 @@ FOUNDATION = (
 """What a closed loop stands on, by the import contract: a change there makes kept results void."""
 APART = "control/rivals"
 """What none but the rivals themselves stand on."""
-KEPT = (*KEYS, "jerk_rms_mps3")
-"""What is kept of a run: its `metrics`, and the lateral jerk."""
+KEPT = (*KEYS, *DETAILS)
+"""What is kept of a run: its `metrics` and `details`."""
 DIED = (
     "A worker process died (killed, or out of memory?); what was finished is kept, and fewer jobs "
     "need less memory."
@@ -314,4 +314,4 @@ def _outcome(item: tuple[str, Run]) -> Outcome:
         return key, charged(run, described(error)), True
     if log.meta["reason"] == "interrupted":
         raise KeyboardInterrupt
-    return key, {**metrics(log), "jerk_rms_mps3": jerk_rms(log)}, False
+    return key, {**metrics(log), **details(log)}, False

@@ -18,6 +18,7 @@ the first; an RMSE is the plain root of the mean square over those instants.
 
 from __future__ import annotations
 
+import hashlib
 import math
 from typing import TYPE_CHECKING, Any
 
@@ -62,6 +63,10 @@ KEYS = (
     "model_sha256",
 )
 """Keys of `metrics`, in the order they are written."""
+DETAILS = (
+    "lateral_p95_m", "jerk_rms_mps3", "drive_rate_rms_mps3", "steps", "late_steps", "trace_sha256",
+)
+"""Keys of `details`."""
 
 
 def metrics(log: Log) -> dict[str, Any]:
@@ -144,6 +149,37 @@ def jerk_rms(log: Log) -> float | None:
     over the control period: what a passenger feels of a restless controller.
     """
     return rms(np.diff(log.columns["ay_mps2"]) / log.meta["Ts"])
+
+
+def details(log: Log) -> dict[str, Any]:
+    """What is kept of a run beside its `metrics`, when many are compared; keys `DETAILS`.
+
+    - lateral p95: what 95 % of the instants' |ey| do not exceed;
+    - lateral jerk: the change of the centre of mass's lateral acceleration from one control instant
+      to the next, over the control period; what a passenger feels of a restless controller;
+    - drive rate: the same of the commanded acceleration, root mean square;
+    - steps, late steps: calls of the controller, and those of them that took longer than the
+      control period;
+    - trace: SHA-256 of the trace's columns, which times are no part of.
+    """
+    c, Ts = log.columns, log.meta["Ts"]
+    ey = np.abs(c["ey_m"])
+    return {
+        "lateral_p95_m": _finite(float(np.percentile(ey, 95.0))) if len(ey) else None,
+        "jerk_rms_mps3": jerk_rms(log),
+        "drive_rate_rms_mps3": rms(np.diff(c["ax_cmd_mps2"]) / Ts),
+        "steps": len(log.timing["step_us"]),
+        "late_steps": int(np.count_nonzero(log.timing["step_us"] > 1e6 * Ts)),
+        "trace_sha256": trace_sha256(log),
+    }
+
+
+def trace_sha256(log: Log) -> str:
+    """SHA-256 of the names and the values of the trace's columns, in their order."""
+    digest = hashlib.sha256()
+    for name, column in log.columns.items():
+        digest.update(f"{name} {column.dtype.str} ".encode() + np.ascontiguousarray(column).data)
+    return digest.hexdigest()
 
 
 def wrap(angle: Array) -> Array:

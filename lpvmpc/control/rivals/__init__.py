@@ -24,6 +24,9 @@ class Rival:
     extra: str = ""
     """Extra of lpvmpc that installs them."""
 
+    slow: bool = False
+    """Whether a lap takes it so long that the leaderboard has it drive a part of its runs alone."""
+
     def missing(self) -> str | None:
         """The first of its packages that is not installed."""
         return next((name for name in self.packages if find_spec(name) is None), None)
