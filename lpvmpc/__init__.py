@@ -7,11 +7,22 @@ The public names below are imported when first used, so that `import lpvmpc` sta
     metrics(log)["lateral_rmse_m"]
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING
+import os
+import sys
 
-from lpvmpc import _numba_cache
-from lpvmpc._version import __version__
+if sys.argv[:1] == ["-m"] and not sys.flags.safe_path:
+    # `python -m lpvmpc`: Python has put the current folder before the standard library, where a
+    # stray random.py would be run; this package must stay where it is found, for workers too
+    sys.path.pop(0)
+    _home = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+    if _home not in sys.path:
+        sys.path.append(_home)
+
+from importlib import import_module  # noqa: E402
+from typing import TYPE_CHECKING  # noqa: E402
+
+from lpvmpc import _numba_cache  # noqa: E402
+from lpvmpc._version import __version__  # noqa: E402
 
 if TYPE_CHECKING:
     from lpvmpc.car.params import VehicleParams

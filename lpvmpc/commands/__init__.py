@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from importlib import import_module
 
 from lpvmpc.errors import UnknownNameError
+from lpvmpc.kit.streams import lasting
 
 COMMANDS = {
     "track": "drive a scenario: table, trace, figures, video",
@@ -39,12 +40,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     if not words or words[0] in ("-h", "--help"):
-        print(_help())
+        with lasting():
+            print(_help())
         return 0
     name = words[0]
     if name not in COMMANDS:
-        error = UnknownNameError("command", name, COMMANDS)
-        print("Error:", error, file=sys.stderr)
+        with lasting():
+            print("Error:", UnknownNameError("command", name, COMMANDS), file=sys.stderr)
         return 2
     from lpvmpc.kit import cli
 

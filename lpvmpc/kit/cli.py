@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 import os
 import sys
@@ -12,17 +11,19 @@ from ctypes.util import find_library
 from pathlib import Path
 
 from lpvmpc.errors import LPVMPCError, OptionError, OutputError
+from lpvmpc.kit import locks
 from lpvmpc.kit.options import Option, OptionsT, parse
-from lpvmpc.kit.signals import sigterm_is_ctrl_c
+from lpvmpc.kit.signals import stops
+from lpvmpc.kit.streams import lasting
 
 __all__ = [
-    "Option", "check_choice", "check_number", "check_opengl", "cores", "parse", "run",
-    "writable_folder",
+    "Option", "check_choice", "check_number", "check_opengl", "cores", "parse", "results_folder",
+    "run", "writable_folder",
 ]
 
 DONE, BAD_INPUT, NOT_COMPLETED, INTERRUPTED = 0, 2, 3, 130
-"""Exit codes: done; bad input (one line on stderr); the run did not complete; Ctrl-C or
-SIGTERM."""
+"""Exit codes: done; bad input (one line on stderr); the run did not complete; Ctrl-C, SIGTERM or
+SIGHUP."""
 
 
 def run(
@@ -32,23 +33,31 @@ def run(
 ) -> int:
     """Parse the command line into a dataclass, call `main` with it, and return the exit code.
 
+    What is printed may be lost, to a closed pipe or a full disk, without ending the work; a full
+    disk is told in the end, and is bad input. SIGTERM and SIGHUP act as Ctrl-C. Folders claimed by
+    `results_folder` are free again afterwards.
+
     Args:
         options: Frozen dataclass of the script's options; its docstrings are the help.
         main: Does the work and returns an exit code.
         arguments: Command line (default: sys.argv).
     """
-    for stream in (sys.stdout, sys.stderr):  # names of files need not be text
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
-    try:
-        with sigterm_is_ctrl_c():
-            return main(parse(options, arguments))
-    except LPVMPCError as error:
-        print("Error:", " ".join(str(error).split()), file=sys.stderr)
-        return BAD_INPUT
-    except KeyboardInterrupt:
-        print("Interrupted.", file=sys.stderr)
-        return INTERRUPTED
+    with stops(), lasting() as printed:
+        try:
+            code = main(parse(options, arguments))
+        except LPVMPCError as error:
+            print("Error:", " ".join(str(error).split()), file=sys.stderr)
+            code = BAD_INPUT
+        except KeyboardInterrupt:
+            print("Interrupted.", file=sys.stderr)
+            code = INTERRUPTED
+        finally:
+            locks.release()
+        printed.flush()
+        if printed.lost:
+            print(f"Error: Cannot write to standard output: {printed.lost}.", file=sys.stderr)
+            code = code or BAD_INPUT
+    return code
 
 
 def check_number(name: str, value: float | None, low: float, high: float, unit: str = "") -> None:
@@ -105,4 +114,19 @@ def writable_folder(folder: Path) -> Path:
     except OSError as error:
         why = error.strerror or str(error)
         raise OutputError(f"Cannot write into {os.fspath(folder)!r}: {why}.") from error
+    return folder
+
+
+def results_folder(folder: Path, name: str = "") -> Path:
+    """Make a folder where needed, that this run alone writes results into until it ends.
+
+    Args:
+        folder: The folder.
+        name: Name of the results, where others may lie beside them.
+
+    Raises:
+        OutputError: It cannot be written, or another run is writing there.
+    """
+    writable_folder(folder)
+    locks.claim(folder, name)
     return folder

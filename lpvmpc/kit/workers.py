@@ -1,29 +1,39 @@
 """Processes that work for this one: on this machine, or on a Ray cluster.
 
 What a caller may rely on, wherever the work is done: answers come one by one as they are ready, or
-all in their order; no more is held in memory than is being worked on; only this process acts
-on Ctrl-C, which then ends what the workers do; a worker that dies is told in one sentence.
+all in their order; no more is held in memory than is being worked on; only this process acts on
+Ctrl-C and other signals, and then ends what the workers do; a worker that dies is told in one
+sentence; none outlives this process. Functions, arguments and answers must be picklable: a function
+has to lie in a module that can be imported.
 """
 
 from __future__ import annotations
 
+import atexit
 import os
+import pickle
 import signal
-import threading
-import time
-import warnings
+import subprocess
+import sys
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
-from functools import cache, partial
+from contextlib import contextmanager, suppress
+from functools import partial
 from itertools import islice
+from multiprocessing.connection import Connection, Pipe, wait
 from typing import Any, TypeVar
 
 from lpvmpc.errors import LPVMPCError, OptionError, described
 from lpvmpc.kit.signals import ctrl_c_waits
+from lpvmpc.kit.worker import Answer, caught
 
 BACKENDS = ("local", "ray")
 """Where work can be done: processes of this machine, or a Ray cluster."""
 DIED = "A worker process died (killed, or out of memory?); fewer jobs need less memory."
+ONE_THREAD = (
+    "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS", "NUMBA_NUM_THREADS", "NUMEXPR_NUM_THREADS",
+)
+"""What tells numerical libraries in a worker to use one thread."""
 T = TypeVar("T")
 R = TypeVar("R")
 
@@ -50,50 +60,164 @@ def _numbered(function: Callable[[T], R], item: tuple[int, T]) -> tuple[int, R]:
     return item[0], function(item[1])
 
 
+# Processes of this machine ------------------------------------------------------------------------
+
+
+class _Worker:
+    """A process of `kit.worker`, in a group of its own: no signal of a terminal reaches it."""
+
+    START = "import sys; sys.path[:] = {path}; from lpvmpc.kit.worker import serve; serve({handle})"
+
+    def __init__(self) -> None:
+        self.made_in = _surroundings()
+        path = [entry or os.getcwd() for entry in sys.path]
+        self.line, theirs = Pipe()
+        with theirs, ctrl_c_waits():  # a process that is half started could not be ended
+            # -P: neither the current folder nor that of a script comes first
+            code = self.START.format(path=ascii(path), handle=theirs.fileno())
+            words = [sys.executable, "-P", *(f"-W{how}" for how in sys.warnoptions), "-c", code]
+            self.process = subprocess.Popen(
+                words,
+                stdin=subprocess.PIPE,
+                pass_fds=[theirs.fileno()],
+                env={**os.environ, **dict.fromkeys(ONE_THREAD, "1")},
+                process_group=0,
+            )
+
+    def give(self, function: Callable[[Any], Any], thing: Any) -> None:
+        """Give it a call to make; it must have answered the one before."""
+        call = pickle.dumps((function, thing))
+        with suppress(OSError):  # it is gone, which its answer will tell
+            self.line.send_bytes(call)
+
+    def answer(self, died: str) -> Answer:
+        """Its answer, once `wait` has named its line.
+
+        Raises:
+            LPVMPCError: It died.
+        """
+        try:
+            found: Answer = pickle.loads(self.line.recv_bytes())
+        except (EOFError, OSError):
+            raise LPVMPCError(died) from None
+        return found
+
+    def end(self) -> None:
+        """End it at once, with all that it has started: it has nothing to save."""
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(self.process.pid, signal.SIGKILL)
+        assert self.process.stdin is not None
+        self.process.stdin.close()
+        self.line.close()
+        self.process.wait()
+
+
+def _surroundings() -> tuple[object, ...]:
+    """What a worker has taken from this process when it was started."""
+    return os.getcwd(), tuple(sys.path), tuple(sorted(os.environ.items()))
+
+
+_resting: list[_Worker] = []
+"""Workers that wait for the next pool: they have imported and compiled what they need."""
+
+
+@atexit.register
+def _dismiss() -> None:
+    """End those that rest."""
+    while _resting:
+        _resting.pop().end()
+
+
 class _Processes(Pool):
     """Processes of this machine; they stay from one call to the next, with what they have made."""
 
-    def __init__(self) -> None:
-        self.answers: Any = None
+    def __init__(self, jobs: int, died: str) -> None:
+        self.jobs, self.died = jobs, died
+        self.all: list[_Worker] = []
+        self.free: list[_Worker] = []
 
     def each(self, function: Callable[[T], R], things: Iterable[T]) -> Iterator[R]:
-        from joblib import Parallel
+        left, busy = iter(things), dict[Connection, _Worker]()
+        ready: list[Answer] = []
+        try:
+            while True:
+                for thing in islice(left, self.jobs - len(busy)):
+                    worker = self.free.pop() if self.free else self._more()
+                    busy[worker.line] = worker
+                    worker.give(function, thing)
+                for returned, value in ready:  # only now: nobody is to wait for who asks
+                    if not returned:
+                        raise value
+                    yield value
+                if not busy:
+                    return
+                ready = []
+                for line in wait(list(busy)):
+                    assert isinstance(line, Connection)
+                    ready.append(busy[line].answer(self.died))
+                    self.free.append(busy.pop(line))
+        finally:
+            for worker in busy.values():  # nobody waits for them any more
+                worker.end()
+                self.all.remove(worker)
 
-        # one thing per message: it takes long, and is to be kept as soon as it is done
-        parallel = Parallel(return_as="generator_unordered", batch_size=1)
-        with ctrl_c_waits():  # joblib cannot stop processes that it has half started
-            self.answers = parallel(_calls(function, things, os.getpid()))
-        return iter(self.answers)
+    def _more(self) -> _Worker:
+        """One that rests, or a new one."""
+        now = _surroundings()
+        while _resting:
+            worker = _resting.pop()
+            self.all.append(worker)
+            if worker.made_in == now and worker.process.poll() is None:
+                return worker
+            worker.end()
+            self.all.remove(worker)
+        self.all.append(_Worker())
+        return self.all[-1]
+
+    def rest(self) -> None:
+        """Let those that are free wait for the next pool, and end the others."""
+        while self.all:
+            worker = self.all.pop()
+            if worker in self.free:
+                _resting.append(worker)
+            else:
+                worker.end()
 
     def stop(self) -> None:
-        """End what the workers are still doing: nobody waits for it, perhaps after Ctrl-C."""
-        if self.answers is not None:
-            with warnings.catch_warnings():  # throwing work away is intended
-                warnings.filterwarnings("ignore", ".* tasks .*", UserWarning, "joblib")
-                self.answers.close()
+        """End them all."""
+        while self.all:
+            self.all.pop().end()
+
+
+# A Ray cluster ------------------------------------------------------------------------------------
 
 
 class _Ray(Pool):
-    """A Ray cluster; it cannot give answers one by one, so some things are done at a time."""
+    """A Ray cluster, that works on so many things at a time."""
 
-    def __init__(self, jobs: int) -> None:
-        self.jobs = jobs
+    def __init__(self, jobs: int, died: str) -> None:
+        import ray
+
+        self.jobs, self.died = jobs, died
+        self.call: Any = ray.remote(max_retries=0)(caught)
 
     def each(self, function: Callable[[T], R], things: Iterable[T]) -> Iterator[R]:
-        from joblib import Parallel
+        import ray
 
-        calls = _calls(function, things, None)
-        with Parallel(batch_size=1) as parallel:
-            while some := list(islice(calls, 4 * self.jobs)):
-                yield from parallel(some)
-
-    def map(self, function: Callable[[T], R], things: Iterable[T]) -> list[R]:
-        from joblib import Parallel
-
-        answers: list[R] = Parallel(batch_size=1, pre_dispatch="all")(
-            _calls(function, things, None)
-        )
-        return answers
+        left, busy = iter(things), list[Any]()
+        while True:
+            busy += [self.call.remote(function, thing) for thing in
+                     islice(left, self.jobs - len(busy))]
+            if not busy:
+                return
+            (done,), busy = ray.wait(busy)
+            try:
+                returned, value = ray.get(done)
+            except ray.exceptions.RayError as error:
+                raise LPVMPCError(self.died) from error
+            if not returned:
+                raise value
+            yield value
 
 
 @contextmanager
@@ -113,25 +237,18 @@ def workers(
         LPVMPCError: Ray is not installed or not reachable, or a worker process died.
     """
     check(jobs, backend, address)
-    if backend == "local" and jobs == 1:
+    if backend == "ray":
+        with _ray(address):
+            yield _Ray(jobs, died)
+    elif jobs == 1:
         yield Pool()
-        return
-    from joblib import parallel_config
-    from joblib.externals.loky.process_executor import BrokenProcessPool
-
-    try:
-        if backend == "ray":
-            with _ray(address), parallel_config("ray", n_jobs=jobs):
-                yield _Ray(jobs)
-        else:
-            pool = _Processes()
-            with parallel_config("loky", n_jobs=jobs, inner_max_num_threads=1):
-                try:
-                    yield pool
-                finally:
-                    pool.stop()
-    except BrokenProcessPool as error:
-        raise LPVMPCError(died) from error
+    else:
+        pool = _Processes(jobs, died)
+        try:
+            yield pool
+            pool.rest()
+        finally:
+            pool.stop()
 
 
 def check(jobs: int, backend: str = "local", address: str | None = None) -> None:
@@ -148,51 +265,27 @@ def check(jobs: int, backend: str = "local", address: str | None = None) -> None
         raise OptionError("address", address, "left out unless the backend is 'ray'")
 
 
-def _calls(function: Callable[[T], R], things: Iterable[T], parent: int | None) -> Iterator[Any]:
-    from joblib import delayed
-
-    return (delayed(_call)(parent, function, thing) for thing in things)
-
-
-def _call(parent: int | None, function: Callable[[T], R], thing: T) -> R:
-    """Call a function in a worker, which its parent alone tells when to stop."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if parent is not None:
-        _end_with(parent)
-    return function(thing)
-
-
-@cache
-def _end_with(parent: int) -> None:
-    """End this process soon after its parent, which may be killed without a word."""
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(0.2)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
-
-
 @contextmanager
 def _ray(address: str | None) -> Iterator[None]:
-    """Ray started or reached, and known to joblib."""
+    """Ray started or reached."""
     try:
         import ray
-        from ray.util.joblib import register_ray
     except ImportError:
         raise LPVMPCError(
             "The backend 'ray' needs the package ray; install it with: pip install "
             "'lpvmpc[cluster]'."
         ) from None
-    register_ray()
     ours = not ray.is_initialized()
     if ours:
+        told = signal.getsignal(signal.SIGTERM)
         try:
             ray.init(address=address, log_to_driver=False, include_dashboard=False)
         except Exception as error:  # Ray raises plain Exceptions too
             where = "cannot be started" if address is None else f"at {address!r} cannot be reached"
             raise LPVMPCError(f"Ray {where}: {described(error)}.") from error
+        finally:  # Ray takes SIGTERM for itself
+            with suppress(ValueError):  # not in the main thread
+                signal.signal(signal.SIGTERM, told)
     try:
         yield
     finally:

@@ -8,7 +8,6 @@ are the same whatever the number of processes, and what was interrupted goes on 
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -29,6 +28,7 @@ from lpvmpc.road.scenario import RoadFriction, Scenario
 from lpvmpc.sim.loop import simulate
 from lpvmpc.sim.metrics import DETAILS, KEYS, details, metrics
 from lpvmpc.sim.names import load_controller, load_scenario
+from lpvmpc.sim.own import file_of
 from lpvmpc.sim.world import load_world
 
 if TYPE_CHECKING:
@@ -128,22 +128,8 @@ class Run:
         files.append(str(self.controller_options.get("stiffness_file", "")))
         yield from (file for file in map(Path, files) if file.is_file())
         for user in (self.controller, self.estimator or ""):
-            if ":" in user and (source := _source(user.partition(":")[0])) is not None:
+            if ":" in user and (source := file_of(user.partition(":")[0])) is not None:
                 yield source
-
-
-def _source(module: str) -> Path | None:
-    """File of a user's module, where it is found."""
-    here = Path(module.replace(".", "/") + ".py")  # as load_controller does
-    if here.is_file():
-        return here
-    try:
-        found = importlib.util.find_spec(module)
-    except (ImportError, ValueError):
-        return None
-    if found is None or not found.has_location or found.origin is None:
-        return None
-    return Path(found.origin)
 
 
 @cache

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import inspect
-import os
-import sys
 import warnings
 from collections.abc import Callable, Iterable
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +19,7 @@ from lpvmpc.errors import (
 from lpvmpc.interface import Controller, Estimator
 from lpvmpc.road import scenario
 from lpvmpc.sensing.exact import Exact
+from lpvmpc.sim.own import own_module
 
 if TYPE_CHECKING:
     import mujoco
@@ -121,10 +119,8 @@ def _users(
     """An object of a user's class, given whatever its constructor names of what is offered."""
     Kind = kind.capitalize()
     module_name, _, class_name = name.partition(":")
-    if os.getcwd() not in sys.path:  # a script has its own folder there, not the current one
-        sys.path.insert(0, os.getcwd())
     try:
-        module = import_module(module_name)
+        module = own_module(module_name)
     except (Exception, SystemExit) as error:
         if isinstance(error, ModuleNotFoundError) and error.name == module_name.partition(".")[0]:
             why = "there is no such module in the current directory or PYTHONPATH"

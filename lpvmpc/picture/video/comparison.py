@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lpvmpc.errors import LPVMPCError
+from lpvmpc.kit.signals import ctrl_c_waits
 from lpvmpc.picture import comparison
 from lpvmpc.picture.style import RUNS
 from lpvmpc.picture.video.encode import Encoder
@@ -25,7 +26,6 @@ from lpvmpc.picture.video.render import (
     counted,
     full_scales,
     instruments,
-    interrupts,
     run_hud,
 )
 from lpvmpc.picture.video.stage import Chase, Stage
@@ -85,7 +85,7 @@ def compare_video(
     frames = max(len(side.motion) for side in sides)
     stage = Stage(logs[0], width, height, dt)  # they share the road, and so the stage
     try:
-        with interrupts() as interrupted, Encoder(path, *total, fps) as video:
+        with ctrl_c_waits() as interrupted, Encoder(path, *total, fps) as video:
             for k in counted(frames, progress):
                 frame = np.full((total[1], total[0], 3), PAPER_DARK, dtype=np.uint8)
                 for n, side in enumerate(sides):

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import signal
-import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path as FilePath
 from typing import Any
@@ -19,6 +17,7 @@ import numpy as np
 
 from lpvmpc.errors import OptionError, RenderError
 from lpvmpc.kit.progress import Bar
+from lpvmpc.kit.signals import ctrl_c_waits
 from lpvmpc.picture.video.encode import Encoder
 from lpvmpc.picture.video.hud import Hud
 from lpvmpc.picture.video.stage import Stage
@@ -55,7 +54,7 @@ def render_video(log: Any, path: str | FilePath, *, width: int = 1280, height: i
     stage = Stage(log, width, height, 1.0 / fps)
     try:
         hud = run_hud(log, width, height)
-        with interrupts() as interrupted, Encoder(path, width, height, fps) as video:
+        with ctrl_c_waits() as interrupted, Encoder(path, width, height, fps) as video:
             for k in counted(len(motion), progress):
                 now = motion.at(k)
                 frame = stage.picture(now)
@@ -178,25 +177,6 @@ def instruments(now: dict[str, Any]) -> dict[str, float]:
         "ey_mm": 1e3 * now["ey_m"], "steer_deg": math.degrees(now["delta_rad"]),
         "step_ms": 1e-3 * now["step_us"],
     }
-
-
-@contextlib.contextmanager
-def interrupts() -> Iterator[Callable[[], bool]]:
-    """Collect Ctrl-C instead of raising it in the middle of a frame; gives a function to ask."""
-    pressed = False
-
-    def note(*_: object) -> None:
-        nonlocal pressed
-        pressed = True
-
-    if threading.current_thread() is not threading.main_thread():
-        yield lambda: pressed
-        return
-    before = signal.signal(signal.SIGINT, note)
-    try:
-        yield lambda: pressed
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def counted(count: int, progress: Callable[[float], None] | None) -> Iterator[int]:
