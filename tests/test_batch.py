@@ -143,6 +143,16 @@ def test_the_key_is_that_of_all_a_run_depends_on(road, tmp_path, monkeypatch, us
     assert at(road, 10.0, controller="mine:Own").key() != own
 
 
+def test_a_run_comes_back_out_of_its_text(road):
+    runs = [at(road, 10.0, label="x"), at(road, 10.0, road=((0.0, 1.0), (5.0, 0.5)), seed=3),
+            Run(world={"base": "rtk"}, deviations={"mass": 1.1}, start_offset=(0.1, 0.0))]
+    for run in runs:
+        assert Run.of_text(run.text()) == dataclasses.replace(run, label="")
+    for wrong in ("", "[]", "{}", '{"road": 1}', runs[0].text().replace("seed", "sed")):
+        with pytest.raises(OptionError):
+            Run.of_text(wrong)
+
+
 def test_a_rival_voids_no_results_but_those_of_rivals(tmp_path, monkeypatch):
     """So that the slow ones of the others are driven once."""
     package = tmp_path / "lpvmpc"

@@ -21,9 +21,10 @@ from lpvmpc.bench.worlds import (
     run_of,
 )
 from lpvmpc.bench.worlds_bars import MARGINS, bars
-from lpvmpc.bench.worlds_stats import percentile, summary, wilson
+from lpvmpc.bench.worlds_stats import summary
 from lpvmpc.bench.worlds_verdict import Found, sentences
 from lpvmpc.control.registry import STIFFNESS_MODELS
+from lpvmpc.kit.statistics import percentile, wilson
 from lpvmpc.sim.batch import KEPT
 from lpvmpc.sim.world import WORLDS
 

@@ -2,49 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import statistics
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from lpvmpc.bench.worlds import Cell, DrivenCell
-
-
-def wilson(successes: int, n: int, z: float = 1.959964) -> tuple[float, float]:
-    """Confidence interval of a proportion, 95 % for the default z.
-
-    (p + z^2 / 2n -+ z sqrt(p (1 - p) / n + z^2 / 4n^2)) / (1 + z^2 / n)
-
-    Args:
-        successes: How many of the runs succeeded.
-        n: Number of runs, at least one.
-        z: Quantile of the normal distribution.
-
-    Source: E. B. Wilson, Probable inference, the law of succession, and statistical inference,
-        JASA 22 (1927). Holds for independent runs, also where none or all succeed.
-    """
-    assert 0 <= successes <= n and n > 0, (successes, n)
-    p, zz = successes / n, z * z
-    middle = p + zz / (2 * n)
-    half = z * math.sqrt(p * (1.0 - p) / n + zz / (4 * n * n))
-    low, high = (middle - half) / (1 + zz / n), (middle + half) / (1 + zz / n)
-    return (0.0 if successes == 0 else low), (1.0 if successes == n else high)
-
-
-def percentile(values: Iterable[float], share: float) -> float:
-    """The smallest value that this share of all do not exceed: one of them, never between two.
-
-    So a lost run, which is infinite here, is counted as the worst there is and does not blur
-    what the others did.
-    """
-    ordered = sorted(values)
-    return ordered[max(math.ceil(share * len(ordered) - 1e-9), 1) - 1]
-
-
-def median(values: Iterable[float]) -> float:
-    """The middle value, the upper one of two."""
-    ordered = sorted(values)
-    return ordered[len(ordered) // 2]
+from lpvmpc.kit.statistics import median, percentile, wilson
 
 
 @dataclass(frozen=True, kw_only=True)

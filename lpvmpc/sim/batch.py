@@ -102,20 +102,38 @@ class Run:
         load_world(self.world)
 
     def __hash__(self) -> int:
-        return hash(self._text())
+        return hash(self.text())
 
-    def _text(self) -> str:
-        """Everything but the label, in one canonical line."""
+    def text(self) -> str:
+        """Everything but the label, in one canonical line of JSON."""
         values = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "label"}
         values = {k: dict(v) if isinstance(v, Mapping) else v for k, v in values.items()}
         return json.dumps(values, sort_keys=True)
+
+    @classmethod
+    def of_text(cls, text: str) -> Run:
+        """The run that `text` has described.
+
+        Raises:
+            OptionError: It describes none.
+        """
+        try:
+            values = json.loads(text)
+            if isinstance(road := values["road"], list):
+                values["road"] = tuple((s, value) for s, value in road)
+            values["start_offset"] = tuple(values["start_offset"])
+            return cls(**values)
+        except (TypeError, ValueError, KeyError, AttributeError) as error:
+            if isinstance(error, OptionError):
+                raise
+            raise OptionError("a run", text[:60], "one line of `Run.text`") from error
 
     def key(self) -> str:
         """Hash of the run and of all it depends on: sources, weights, model, versions, own files.
 
         Two runs of one key have the same trace; only their times differ.
         """
-        digest = hashlib.sha256(self._text().encode())
+        digest = hashlib.sha256(self.text().encode())
         digest.update(foundation(self.controller in RIVALS).encode())
         for file in self._own_files():
             digest.update(file.read_bytes())

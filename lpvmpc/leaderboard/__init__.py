@@ -1,0 +1,1 @@
+"""The leaderboard: every controller over roads, worlds, grip, friction, wind and seeds."""
