@@ -185,6 +185,47 @@ def test_the_best_of_parents_and_children_survive():
         assert state.arrays["costs"].tolist() == pool
 
 
+def test_as_printed_the_children_alone_make_up_the_next_population():
+    """Algorithm 1: children until the population is full, and they replace it."""
+    states, calls = [], []
+    settings = GeneticSettings(generations=3, population=7).of("printed")
+    minimise(lambda x: calls.append(slope(x)) or calls[-1], LOWER, UPPER, seed=2,
+             settings=settings, after=states.append)
+    assert len(calls) == settings.evaluations == 7 * 4
+    for k, state in enumerate(states):
+        assert state.arrays["costs"].tolist() == sorted(calls[7 * k : 7 * k + 7]) or k == 0
+    best = [g.best for g in states[-1].history]
+    assert best != sorted(best, reverse=True)  # the best is lost again with this seed
+
+
+def test_as_printed_a_constant_in_the_cost_takes_the_wheels_pressure_away():
+    costs = np.array([1.0, 2.0, 3.0])
+    printed = wheel(costs, 0.75, "cost")
+    assert printed[1] / printed[0] == pytest.approx(math.exp(-0.75 / 2.0), rel=1e-14)
+    assert wheel(costs + 1000.0, 0.75, "cost") == pytest.approx(1 / 3, abs=1e-3)
+    assert wheel(costs, 0.75) == pytest.approx(wheel(costs + 1000.0, 0.75), rel=1e-12)
+
+
+def test_as_printed_sigma_has_the_variables_own_unit():
+    s = GeneticSettings(population=4000, mutation_rate=1.0, rivals=4000, sigma=0.05).of("printed")
+    parents, young = children(s, "tournament")
+    best = parents[np.argmin(parents.sum(axis=1))]
+    for column in range(2):
+        step = young[:, column] - best[column]
+        up = step[step > 0.0]
+        # 0.6745 sigma is the median magnitude; 2000 of them: 2 % of error.
+        assert np.median(up) == pytest.approx(0.6745 * 0.05, rel=0.08)
+
+
+def test_ours_is_the_default_and_both_have_names():
+    assert GeneticSettings().of("ours") == GeneticSettings()
+    assert GeneticSettings().of("printed").of("ours") == GeneticSettings()
+    with pytest.raises(UnknownNameError, match="algorithm 'best'; the choices are ours, printed"):
+        GeneticSettings().of("best")
+    with pytest.raises(UnknownNameError, match="survival 'all'; the choices are best, offspring"):
+        GeneticSettings(survival="all")
+
+
 @pytest.mark.parametrize(
     ("name", "value", "allowed"),
     [

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lpvmpc.tune import sphere, sphere_report
-from lpvmpc.tune.sphere import OPTIMUM, Runs, Study
+from lpvmpc.tune.sphere import OPTIMUM, Runs, Study, Variant
 
 COMMAND = "tune"
 
@@ -17,15 +17,15 @@ def short():
     return sphere.run(seed=3, seeds=4, settings=replace(sphere.SETTINGS, generations=12))
 
 
-def invented(**finals):
-    """A study with these distances at the end, one run each."""
+def invented(key="ours", **finals):
+    """An algorithm with these distances at the end, one run each."""
     some = [
         Runs(selection=name, crossover="blend", seeds=tuple(range(len(values))),
              distances=np.column_stack([np.ones(len(values)), values]))
         for name, values in finals.items()
     ]
     settings = replace(sphere.SETTINGS, generations=1)
-    return Study(settings=settings, selections=tuple(some), crossovers=(some[0], some[0]))
+    return Variant(key=key, settings=settings, selections=tuple(some))
 
 
 def test_the_optimum_is_exactly_25_and_on_a_bound():
@@ -48,21 +48,42 @@ def test_the_median_run_comes_nearer_than_a_hundredth():
 
 
 def test_runs_only_come_nearer(short):
-    for runs in (*short.selections, *short.crossovers):
+    for runs in (*short.ours.selections, *short.crossovers):
         assert runs.distances.shape == (4, 13)
         assert (np.diff(runs.distances, axis=1) <= 0.0).all()
         assert (runs.distances >= 0.0).all()
+        assert (runs.nearest == runs.final).all()
+
+
+def test_as_printed_the_best_is_lost_again(short):
+    """Nobody keeps the best: what the last population holds is farther than what was once seen."""
+    runs = short.printed.selections
+    assert any((np.diff(r.distances, axis=1) > 0.0).any() for r in runs)
+    assert sum((r.nearest < r.final).sum() for r in runs) > 0
+
+
+def test_all_departures_from_the_paper_are_taken_back_one_by_one(short):
+    ours, printed = (vars(short.variant(key).settings) for key in ("ours", "printed"))
+    apart = {name for name in ours if ours[name] != printed[name]}
+    alone = set()
+    for variant in short.variants[2:]:
+        changed = {n for n, value in vars(variant.settings).items() if value != ours[n]}
+        assert len(changed) == 1
+        name = changed.pop()
+        assert vars(variant.settings)[name] == printed[name]
+        alone.add(name)
+    assert alone == apart == {"survival", "scale", "step"}
 
 
 def test_the_crossover_is_chosen_on_other_seeds(short):
     assert [runs.crossover for runs in short.crossovers] == ["blend", "exchange"]
     assert {runs.selection for runs in short.crossovers} == {"mixed"}
-    assert short.of("mixed").seeds == (3, 4, 5, 6)
+    assert short.ours.of("mixed").seeds == (3, 4, 5, 6)
     assert short.crossovers[0].seeds == (1003, 1004, 1005, 1006)
 
 
 def test_the_same_seed_gives_the_same_study(short):
-    again = sphere.run(seed=3, seeds=4, settings=short.settings)
+    again = sphere.run(seed=3, seeds=4, settings=short.ours.settings)
     assert sphere_report.as_csv(again) == sphere_report.as_csv(short)
 
 
@@ -71,16 +92,17 @@ def test_equal_selections_are_not_told_apart():
     study = invented(mixed=same, roulette=same, tournament=same)
     assert sphere.difference(study) == pytest.approx(1.0)
     assert all(c.nearer == 0.5 and c.p == 1.0 for c in sphere.compare(study))
-    assert sphere.verdict(study) == (
-        "Over 30 seeds no difference between the three selections can be told (Kruskal-Wallis "
-        "p = 1). The paper's advantage of the mixed selection over both others is not confirmed."
+    assert sphere.verdict_on(study) == (
+        "Our version, 30 seeds: no difference between the three selections can be told "
+        "(Kruskal-Wallis p = 1). The paper's advantage of the mixed selection over both others is "
+        "not confirmed."
     )
 
 
 def test_runs_that_all_end_at_one_place_are_not_told_apart():
     study = invented(mixed=[0.5] * 5, roulette=[0.5] * 5, tournament=[0.5] * 5)
     assert sphere.difference(study) == 1.0
-    assert "no difference" in sphere.verdict(study)
+    assert "no difference" in sphere.verdict_on(study)
 
 
 def test_a_better_selection_is_named():
@@ -90,13 +112,28 @@ def test_a_better_selection_is_named():
     found = {(c.one, c.other): c for c in sphere.compare(study)}
     assert found["mixed", "roulette"].nearer == 1.0
     assert found["roulette", "tournament"].nearer == 0.0
-    text = sphere.verdict(study)
+    text = sphere.verdict_on(study)
     assert "mixed ends nearer than roulette in 100% of the pairs of runs" in text
     assert "tournament ends nearer than roulette in 100% of the pairs of runs" in text
     assert text.endswith("over both others is confirmed.")
     worse = invented(mixed=low + 5.0, roulette=low, tournament=low)
-    assert "roulette ends nearer than mixed" in sphere.verdict(worse)
-    assert sphere.verdict(worse).endswith("is not confirmed.")
+    assert "roulette ends nearer than mixed" in sphere.verdict_on(worse)
+    assert sphere.verdict_on(worse).endswith(
+        "is not confirmed, and roulette and tournament are ahead of it."
+    )
+    between = invented(key="printed", mixed=low + 2.0, roulette=low + 5.0, tournament=low)
+    text = sphere.verdict_on(between)
+    assert text.startswith("Algorithm 1 as printed, 30 seeds: the three selections differ")
+    assert text.endswith("is confirmed over roulette alone, and tournament is ahead of it.")
+
+
+def test_the_verdict_follows_from_both_algorithms():
+    low = np.linspace(1.0, 2.0, 30)
+    ours = invented(mixed=low, roulette=low, tournament=low)
+    printed = invented(key="printed", mixed=low, roulette=low + 5.0, tournament=low + 2.0)
+    study = Study(variants=(ours, printed), crossovers=())
+    text = sphere.verdict(study)
+    assert sphere.verdict_on(ours) in text and sphere.verdict_on(printed) in text
 
 
 def test_p_is_adjusted_for_three_comparisons():
@@ -122,10 +159,12 @@ def test_the_script_prints_and_saves_the_report(run, tmp_path):
     values = json.loads((folder / "sphere.json").read_text())
     assert values == json.loads((tmp_path / "copy" / "values.json").read_text())
     rows = list(csv.DictReader((folder / "sphere.csv").read_text().splitlines()))
-    assert len(rows) == 30 * 5 and rows[0]["seed"] == "7"
-    mixed = [float(r["distance_3"]) for r in rows if r["selection"] == "mixed"][:30]
+    assert len(rows) == 30 * (5 * 3 + 2) and rows[0]["seed"] == "7"
+    own = [r for r in rows if (r["part"], r["selection"]) == ("ours", "mixed")]
+    mixed = [float(r["distance_3"]) for r in own]
     # 1e-5: the CSV has six digits.
-    assert values["selections"]["mixed"]["median"] == pytest.approx(np.median(mixed), rel=1e-5)
+    told = values["algorithms"]["ours"]["selections"]["mixed"]["median"]
+    assert told == pytest.approx(np.median(mixed), rel=1e-5)
     assert values["bars"]["mixed_median"] == {"limit": 0.01, "ok": False}
     assert "Seeds 7 to 36" in out and "MISSED" in out and values["verdict"] in out
     assert (folder / "sphere.png").read_bytes().startswith(b"\x89PNG")

@@ -40,7 +40,7 @@ def bars(e: Evidence) -> list[Finding]:
             f"rest_{where}_{one.vx:g}_mrad", f"steering at rest, {where}, {one.vx:g} m/s", left,
             1e3 * steering_at_rest.LIMIT, "mrad",
         ))
-    mixed = float(np.median(e.sphere.of("mixed").final))
+    mixed = float(np.median(e.sphere.ours.of("mixed").final))
     found.append(_promise("sphere_mixed", "sphere: median distance, mixed", mixed, sphere.BAR))
     driven = {row.case.scenario for row in e.rows}
     shared = sorted(driven & set(e.tuned_on))

@@ -162,14 +162,16 @@ def _network(e: Evidence) -> Iterable[Number]:
 
 
 def _search(e: Evidence) -> Iterable[Number]:
-    seeds = len(e.sphere.selections[0].seeds)
-    for runs in e.sphere.selections:
-        yield Number(
-            key=f"sphere_{runs.selection}", group="search", digits=5,
-            text=f"sphere function, {runs.selection}", paper=sphere.PAPER[runs.selection],
-            ours=sphere.OPTIMUM + float(np.median(runs.final)),
-            remark=f"optimum {sphere.OPTIMUM:g}; paper: one run, ours: median of {seeds}",
-        )
+    for variant in (e.sphere.printed, e.sphere.ours):
+        seeds = len(variant.selections[0].seeds)
+        for runs in variant.selections:
+            yield Number(
+                key=f"sphere_{variant.key}_{runs.selection}", group="search", digits=5,
+                text=f"sphere, {variant.text}, {runs.selection}",
+                paper=sphere.PAPER[runs.selection],
+                ours=sphere.OPTIMUM + float(np.median(runs.final)),
+                remark=f"optimum {sphere.OPTIMUM:g}; paper: one run, ours: median of {seeds}",
+            )
     tuned = e.tunings.get(OURS)
     for key, text, unit, paper in (
         ("lateral_rmse_m", "tuned: lateral RMSE", "m", TRACKING["lateral_rmse_m"]),

@@ -50,7 +50,8 @@ CAPTIONS = {
     "data, with whole runs held out.",
     "fig5-stiffness": "Fig. 5. Secant stiffness of both axles over a driven lap that is in no "
     "data: the car's, and what both networks predict from that lap's measurements.",
-    "fig6-sphere": "Fig. 6. The genetic algorithm on the sphere function: median and quartiles.",
+    "fig6-sphere": "Fig. 6. The genetic algorithm on the sphere function, as printed and ours: "
+    "median and quartiles.",
     "fig7-speed-wind": "Fig. 7. Wind, speed, and the error of the speed.",
     "fig8-path": "Fig. 8. Path, and the lateral error where that of the baseline is largest, where "
     "the bend is tightest and where the wind is strongest.",
@@ -119,7 +120,7 @@ def _options(e: Evidence) -> Iterable[str]:
 
 def head(e: Evidence) -> list[str]:
     """Machine, versions, seeds, weights."""
-    seeds = e.sphere.selections[0].seeds
+    seeds = e.sphere.ours.selections[0].seeds
     return [
         f"Machine: {machine()}; {e.jobs} run{'s' if e.jobs > 1 else ''} at a time.",
         versions_line(),

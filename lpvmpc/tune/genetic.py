@@ -20,8 +20,7 @@ LPV-MPC controller", Algorithm 1 and Table 1. Where these leave a choice, and wh
   reorders values that mutation found; a blend makes new ones, at a scale that follows the spread of
   the population, and so goes on converging where a mutation of fixed size no longer hits. We blend;
   `crossover="exchange"` is there to compare, and docs/results/sphere.md does.
-- Mutation. Table 1's sigma is a fraction of the variable's range, so that variables of all sizes
-  move alike, and its rate is per variable: mutating a whole individual or nothing mostly destroys
+- Mutation. Table 1's rate is per variable: mutating a whole individual or nothing mostly destroys
   what crossover has built. What leaves the bounds is put on them, since an optimum on a bound is
   common among weights and could not be reached by reflection.
 - Ties. A child as good as a parent replaces it, so that a population on a plateau still wanders.
@@ -34,7 +33,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from dataclasses import replace as replaced
 from functools import partial
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -56,6 +55,15 @@ from lpvmpc.units import Array
 
 Selection = Literal["mixed", "roulette", "tournament"]
 Crossover = Literal["blend", "exchange"]
+Algorithm = Literal["ours", "printed"]
+Survival = Literal["best", "offspring"]
+Scale = Literal["excess", "cost"]
+Step = Literal["range", "own"]
+PARTS: dict[Algorithm, dict[str, Any]] = {
+    "ours": {"survival": "best", "scale": "excess", "step": "range"},
+    "printed": {"survival": "offspring", "scale": "cost", "step": "own"},
+}
+"""Settings in which the algorithms differ."""
 
 METHOD = "genetic"
 """Name of this search in a saved state."""
@@ -76,13 +84,20 @@ class GeneticSettings:
     mutation_rate: float = 0.3
     """Probability with which each variable of a child is mutated."""
     sigma: float = 0.15
-    """Standard deviation of a mutation, as a fraction of the variable's range."""
+    """Standard deviation of a mutation, in the unit that `step` names."""
     crossover: Crossover = "blend"
     """How two parents give two children: blend of their values, or exchange. Not in Table 1."""
     reach: float = 0.2
     """How far beyond its parents a blend may go, in units of their distance. Not in Table 1."""
     rivals: int = 2
     """Individuals in a tournament. Not in Table 1; the weakest tournament there is."""
+    survival: Survival = "best"
+    """Who makes up the next population: the best of parents and children, or the children alone,
+    made until it is full."""
+    scale: Scale = "excess"
+    """Unit of the roulette wheel: the mean distance to the best cost, or the mean cost."""
+    step: Step = "range"
+    """Unit of sigma: the variable's range, or that of the variable itself."""
 
     def __post_init__(self) -> None:
         """Refuse what cannot be run."""
@@ -96,16 +111,38 @@ class GeneticSettings:
             raise UnknownNameError("crossover", self.crossover, get_args(Crossover))
         check_real("reach", self.reach, 0.0, 1.0)
         check_count("rivals", self.rivals, 1, self.population)
+        for name, value, choices in (("survival", self.survival, get_args(Survival)),
+                                     ("scale", self.scale, get_args(Scale)),
+                                     ("step", self.step, get_args(Step))):
+            if value not in choices:
+                raise UnknownNameError(name, value, choices)
+
+    def of(self, algorithm: Algorithm) -> GeneticSettings:
+        """The same settings for an algorithm: `ours`, or Algorithm 1 as it is `printed`.
+
+        Raises:
+            UnknownNameError: No such algorithm.
+        """
+        if algorithm not in PARTS:
+            raise UnknownNameError("algorithm", algorithm, tuple(PARTS))
+        return replaced(self, **PARTS[algorithm])
 
     @property
     def pairs(self) -> int:
-        """Pairs of children per generation, at least one."""
+        """Pairs of children per generation, at least one; of an odd one out, one child is kept."""
+        if self.survival == "offspring":
+            return (self.population + 1) // 2
         return max(1, round(self.offspring * self.population / 2))
+
+    @property
+    def children(self) -> int:
+        """Children that are evaluated in a generation."""
+        return self.population if self.survival == "offspring" else 2 * self.pairs
 
     @property
     def evaluations(self) -> int:
         """Calls of the cost in a whole search."""
-        return self.population + self.generations * 2 * self.pairs
+        return self.population + self.generations * self.children
 
 
 def minimise(
@@ -158,10 +195,10 @@ def minimise(
 def _advance(
     search: Search, settings: GeneticSettings, selection: Selection, state: SearchState
 ) -> SearchState:
-    """One generation: pairs of parents, their children, and the best of both."""
+    """One generation: pairs of parents, their children, and who of both survives."""
     rng = state.rng()
     individuals, costs = state.arrays["individuals"], state.arrays["costs"]
-    chances = wheel(costs, settings.pressure)
+    chances = wheel(costs, settings.pressure, settings.scale)
     children: list[Array] = []
     for _ in range(settings.pairs):
         if selection == "mixed":
@@ -175,12 +212,16 @@ def _advance(
             pair = np.array([_tournament(rng, costs, settings.rivals) for _ in range(2)])
         children += _cross(rng, individuals[pair[0]], individuals[pair[1]], settings)
     young = _mutate(rng, np.array(children), state.lower, state.upper, settings)
-    young_costs, failures = evaluate(  # what is worse than the worst parent does not survive
-        search.cost, young, search.map, state.generation + 1, limit=float(costs.max())
+    young = young[: settings.children]
+    # What is worse than the worst parent does not survive, where parents may.
+    limit = float(costs.max()) if settings.survival == "best" else math.inf
+    young_costs, failures = evaluate(
+        search.cost, young, search.map, state.generation + 1, limit=limit
     )
-
-    # Children first: a stable sort then prefers them among equals.
-    everyone, all_costs = np.vstack([young, individuals]), np.concatenate([young_costs, costs])
+    everyone, all_costs = young, young_costs
+    if settings.survival == "best":
+        # Children first: a stable sort then prefers them among equals.
+        everyone, all_costs = np.vstack([young, individuals]), np.concatenate([young_costs, costs])
     kept = np.argsort(all_costs, kind="stable")[: len(costs)]
     individuals, costs = frozen(everyone[kept]), frozen(all_costs[kept])
     return replaced(
@@ -193,15 +234,16 @@ def _advance(
     )
 
 
-def wheel(costs: Array, pressure: float) -> Array:
+def wheel(costs: Array, pressure: float, scale: Scale = "excess") -> Array:
     """Chances of the roulette wheel, after Boltzmann.
 
-    p_i = exp(-pressure (c_i - c_best) / mean(c - c_best)) / sum
+    p_i = exp(-pressure (c_i - c_best) / u) / sum,   u = mean(c - c_best), or |mean(c)|
 
     Args:
         costs: Shape (k,), infinity for the infinitely bad, whose chance is zero.
         pressure: Selection pressure; the mean individual is drawn exp(-pressure) times as often as
-            the best.
+            the best, where costs are measured from the best.
+        scale: Their unit u: `excess`, their mean distance to the best, or `cost`, their mean.
 
     Returns:
         Chances, shape (k,), of sum 1: equal ones where all costs are equal or infinite.
@@ -212,7 +254,8 @@ def wheel(costs: Array, pressure: float) -> Array:
     excess = np.full(costs.size, math.inf)
     # Halved, so that the difference of two costs near the largest float does not overflow.
     excess[finite] = 0.5 * costs[finite] - 0.5 * costs[finite].min()
-    mean = float((excess[finite] / np.count_nonzero(finite)).sum())
+    unit = excess if scale == "excess" else 0.5 * costs
+    mean = abs(float((unit[finite] / np.count_nonzero(finite)).sum()))
     if mean > 0.0:
         excess[finite] /= mean
     chances = np.where(finite, np.exp(-pressure * np.where(finite, excess, 0.0)), 0.0)
@@ -242,5 +285,6 @@ def _mutate(
 ) -> Array:
     """Children with some variables moved, put back within the bounds; shape (k, n)."""
     moved = rng.random(children.shape) < settings.mutation_rate
-    step = settings.sigma * (upper - lower) * rng.standard_normal(children.shape)
+    unit = upper - lower if settings.step == "range" else 1.0
+    step = settings.sigma * unit * rng.standard_normal(children.shape)
     return np.clip(np.where(moved, children + step, children), lower, upper)
