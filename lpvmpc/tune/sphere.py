@@ -244,10 +244,10 @@ def verdict_on(variant: Variant) -> str:
         ahead.clear()
         text += (
             "no difference between the three selections can be told "
-            f"(Kruskal-Wallis p = {p_text(p)})"
+            f"(Kruskal-Wallis {p_text(p)})"
         )
     else:
-        text += f"the three selections differ (Kruskal-Wallis p = {p_text(p)}): " + (
+        text += f"the three selections differ (Kruskal-Wallis {p_text(p)}): " + (
             "; ".join(found) or "but no two of them do by themselves"
         )
     won = [name for name in ("roulette", "tournament") if ("mixed", name) in ahead]
@@ -263,5 +263,5 @@ def verdict_on(variant: Variant) -> str:
 
 
 def p_text(p: float) -> str:
-    """A p value as text."""
-    return "< 0.0001" if p < 1e-4 else f"{p:.2g}"
+    """A p value as text: `p = 0.5`, or `p < 0.0001`."""
+    return "p < 0.0001" if p < 1e-4 else f"p = {p:.2g}"

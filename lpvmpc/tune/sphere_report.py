@@ -51,8 +51,9 @@ def report(study: Study) -> str:
         "cost of the last population minus that; \"best seen\" is the median of the best cost of "
         f"all populations, minus that. A run has {s.generations} generations and a population of "
         f"{s.population}. Pressure {s.pressure:g}, mutation rate {s.mutation_rate:g} and sigma "
-        f"{s.sigma:g} are Table 1's; the authors' script for this figure has pressure 0.8 and rate "
-        "0.25.",
+        f"{s.sigma:g} are Table 1's, sigma read as a standard deviation, as in the authors' code, "
+        "though the table calls it a variance; their script for this figure has pressure 0.8 and "
+        "rate 0.25.",
         "",
         f"**Verdict**: {verdict(study)}",
         "",
@@ -90,7 +91,7 @@ def report(study: Study) -> str:
             ("version", *SELECTIONS, "p"),
             [
                 (v.text, *(f"{np.median(runs.final):.2g}" for runs in v.selections),
-                 p_text(difference(v)))
+                 _p(difference(v)))
                 for v in study.variants
             ],
         ),
@@ -125,7 +126,7 @@ def _tables(variant: Variant) -> list[str]:
         for runs in variant.selections
     ]
     pairs = [
-        (f"{c.one} against {c.other}", f"{c.nearer:.0%}", p_text(c.p)) for c in compare(variant)
+        (f"{c.one} against {c.other}", f"{c.nearer:.0%}", _p(c.p)) for c in compare(variant)
     ]
     return [
         markdown_table(
@@ -134,7 +135,7 @@ def _tables(variant: Variant) -> list[str]:
             rows,
         ),
         markdown_table(
-            f"{name}: comparison by ranks, Kruskal-Wallis p = {p_text(difference(variant))}",
+            f"{name}: comparison by ranks, Kruskal-Wallis {p_text(difference(variant))}",
             ("selections", "first is nearer", "p (Holm)"), pairs,
         ),
     ]
@@ -241,6 +242,11 @@ def save(study: Study, folder: Path) -> list[Path]:
         picture=draw(study),
         dpi=DPI,
     )
+
+
+def _p(p: float) -> str:
+    """A p value without its name, for the cell of a table."""
+    return p_text(p).removeprefix("p ").removeprefix("= ")
 
 
 def _spread(distances: Array) -> tuple[str, str, str]:
