@@ -50,7 +50,8 @@ def main(options: Options) -> int:
     """Drive, print, save; returns the exit code."""
     cli.check_number("--jobs", options.jobs, 0, 1024)
     cli.check_opengl()
-    out = cli.writable_folder(options.out or (QUICK_OUT if options.quick else Path("docs/results")))
+    out = options.out or (QUICK_OUT if options.quick else Path("docs/results"))
+    cli.results_folder(out, NAME)
     if options.json is not None:
         cli.writable_folder(options.json.parent)
     prepare(options.cache, options.resume, NAME)
@@ -72,7 +73,6 @@ def main(options: Options) -> int:
         print("Interrupted; --resume goes on from here.", file=sys.stderr)
         return cli.INTERRUPTED
     text = report.report(rows, searches, quick=quick, jobs=jobs, picture=f"{NAME}.png")
-    print(summary(rows, searches))
     files = write_report(
         out,
         NAME,
@@ -82,6 +82,7 @@ def main(options: Options) -> int:
         copy=options.json,
         picture=report.draw(rows),
     )
+    print(summary(rows, searches))
     print(f"Saved {out}/ ({', '.join(file.name for file in files)})")
     return cli.DONE
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from lpvmpc.errors import LPVMPCError
 from lpvmpc.kit import cli
+from lpvmpc.kit.files import write_text
 from lpvmpc.kit.progress import Bar
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def prepare(cache: Path, resume: bool, name: str) -> None:
-    """Make the folder of results; empty it, or see that there is something to go on from.
+    """Claim the folder of results; empty it, or see that there is something to go on from.
 
     Args:
         cache: The folder.
@@ -26,14 +27,16 @@ def prepare(cache: Path, resume: bool, name: str) -> None:
 
     Raises:
         LPVMPCError: Nothing to go on from.
-        OutputError: The folder cannot be written.
+        OutputError: The folder cannot be written, or another run is writing there.
     """
-    if resume and not results(cache):
+    begun = cache / f"{name}.begun"  # one that was interrupted before its first result goes on too
+    if resume and not results(cache) and not begun.is_file():
         raise LPVMPCError(
             f"--resume needs the results of an earlier {name}, but {str(cache)!r} has none; "
             "leave --resume out to begin anew."
         )
-    cli.writable_folder(cache)
+    cli.results_folder(cache)
+    write_text(begun, "")
     if not resume:
         for file in results(cache):
             file.unlink(missing_ok=True)

@@ -54,7 +54,7 @@ def main(options: Options) -> int:
     from lpvmpc.learn import collect, coverage
 
     plan = collect.Plan(samples=options.samples, seed=options.seed, friction=friction, mass=mass)
-    cli.writable_folder(options.out.parent)
+    cli.results_folder(options.out.parent, options.out.name)
     jobs = options.jobs or cli.cores()
     start = time.perf_counter()
     try:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from lpvmpc.control.registry import CONTROLLERS
 from lpvmpc.errors import LPVMPCError, OptionError, RenderError
 from lpvmpc.kit import cli
-from lpvmpc.kit.files import write_json
+from lpvmpc.kit.files import replacing, write_json
 from lpvmpc.kit.provenance import commit, machine
 from lpvmpc.road.names import SCENARIOS
 
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from lpvmpc.interface import Controller
     from lpvmpc.sim.log import Log
 
+RESULTS = ("comparison.json", "comparison.md", "errors.png", "signals.png", "path.png")
+"""What a comparison leaves in its folder, replaced all together."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,8 +80,10 @@ def main(options: Options) -> int:
         print("Warning:", sentence, file=sys.stderr)
     made = {name: load(name, options.delay) for name in options.controllers}
     title = re.sub(r"[^\w.-]+", "-", f"{scenario.name}-{'-vs-'.join(options.controllers)}")
-    out = cli.writable_folder(options.out or Path("runs") / title)
-    video = cli.writable_folder(Path("videos")) / f"{title}.mp4" if options.render else None
+    out = cli.results_folder(options.out or Path("runs") / title)
+    video = None
+    if options.render:
+        video = cli.results_folder(Path("videos"), f"{title}.mp4") / f"{title}.mp4"
     if options.json is not None:
         cli.writable_folder(options.json.parent)
     plant, runs = Plant(), dict[str, Any]()
@@ -92,15 +96,16 @@ def main(options: Options) -> int:
         )
         if runs[name].meta["reason"] == "interrupted":
             raise KeyboardInterrupt
-    show(runs)
-    comparison.save_all(runs, out)
     results = {name: metrics(log) for name, log in runs.items()}
     given = {k: str(v) if isinstance(v, Path) else v for k, v in asdict(options).items()}
     weights = {name: log.weights for name, log in runs.items()}
     record = {"options": given, "weights": weights, "commit": commit(), "machine": machine()}
-    for file in (out / "comparison.json", options.json):
-        if file is not None:
-            write_json(file, {"runs": results, "record": record})
+    with replacing(out, RESULTS) as new:
+        comparison.save_all(runs, new)
+        write_json(new / "comparison.json", {"runs": results, "record": record})
+    if options.json is not None:
+        write_json(options.json, {"runs": results, "record": record})
+    show(runs)
     print(f"Saved {out}/ (comparison.md, comparison.json, errors.png, signals.png, path.png)")
     if video is not None:
         film(runs, video)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from lpvmpc.errors import UnknownNameError
 from lpvmpc.kit import cli
-from lpvmpc.kit.files import write_json
+from lpvmpc.kit.files import replacing, write_json
 from lpvmpc.kit.report import write_report
 from lpvmpc.studies.names import BROKEN, STUDIES
 
@@ -69,25 +69,27 @@ def main(options: Options) -> int:
     names = [name for name in STUDIES if name in options.studies or not options.studies]
     published = len(names) == len(STUDIES) and options.broken is None
     out = options.out or Path("docs/results" if published else "runs/fidelity")
-    cli.writable_folder(out)
+    cli.results_folder(out, "fidelity")
     if options.json is not None:
         cli.writable_folder(options.json.parent)
 
-    results = runner.conduct(
-        names,
-        out / "fidelity",
-        broken=options.broken,
-        jobs=options.jobs or cli.cores(),
-        progress=say,
-    )
-    print(report.table(results), end="")
     how = " ".join(["python eval/fidelity.py", *options.studies])
     if options.broken is not None:
         how += f" --broken {options.broken}"
-    text = report.markdown(results, "fidelity", how, options.broken)
-    write_report(out, "fidelity", text=text, table=report.as_csv(results))
+    files = ["fidelity.md", "fidelity.csv", *(f"fidelity/{name}-*" for name in names)]
+    with replacing(out, files) as new:
+        results = runner.conduct(
+            names,
+            new / "fidelity",
+            broken=options.broken,
+            jobs=options.jobs or cli.cores(),
+            progress=say,
+        )
+        text = report.markdown(results, "fidelity", how, options.broken)
+        write_report(new, "fidelity", text=text, table=report.as_csv(results))
     if options.json is not None:
         write_json(options.json, report.as_json(results))
+    print(report.table(results), end="")
     count = sum(len(result.findings) for result in results)
     bad = sum(not finding.ok for result in results for finding in result.findings)
     print(f"{count - bad} of {count} figures are inside their limits.")

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 
 from lpvmpc.control.registry import CORE
 from lpvmpc.kit import cli
+from lpvmpc.kit.files import replacing
 from lpvmpc.kit.findings import promises_sentence
 from lpvmpc.kit.progress import Bar
 from lpvmpc.kit.report import write_report
@@ -55,8 +56,9 @@ def main(options: Options) -> int:
     """Measure, print, save; returns the exit code."""
     cli.check_number("--jobs", options.jobs, 0, 1024)
     cli.check_opengl()
-    out = cli.writable_folder(options.out or (QUICK_OUT if options.quick else Path("docs/results")))
-    cache = cli.writable_folder(options.cache)
+    out = options.out or (QUICK_OUT if options.quick else Path("docs/results"))
+    cli.results_folder(out, NAME)
+    cache = cli.results_folder(options.cache)
     if options.json is not None:
         cli.writable_folder(options.json.parent)
     jobs, start = options.jobs or cli.cores(), time.perf_counter()
@@ -72,20 +74,21 @@ def main(options: Options) -> int:
                 networks=networks,
             )
             say("figures", 0, 1)
-            pictures = figures.save_all(found, out / NAME)
+            with replacing(out, [f"{NAME}.md", f"{NAME}.csv", f"{NAME}.json", f"{NAME}/*"]) as new:
+                pictures = figures.save_all(found, new / NAME)
+                found = replace(found, seconds=time.perf_counter() - start)
+                addresses = {name: f"{NAME}/{file.name}" for name, file in pictures.items()}
+                write_report(
+                    new,
+                    NAME,
+                    text=report.report(found, addresses),
+                    table=report.as_csv(found),
+                    values=report.as_json(found),
+                    copy=options.json,
+                )
     except KeyboardInterrupt:
         print("Interrupted; the same command goes on from here.", file=sys.stderr)
         return cli.INTERRUPTED
-    found = replace(found, seconds=time.perf_counter() - start)
-    addresses = {name: f"{NAME}/{file.name}" for name, file in pictures.items()}
-    write_report(
-        out,
-        NAME,
-        text=report.report(found, addresses),
-        table=report.as_csv(found),
-        values=report.as_json(found),
-        copy=options.json,
-    )
     print(summary(found))
     print(f"Saved {out}/ ({NAME}.md, {NAME}.csv, {NAME}.json, {NAME}/*.png)")
     return cli.DONE

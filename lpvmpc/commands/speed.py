@@ -60,7 +60,7 @@ def main(options: Options) -> int:
     """Measure, print, save; returns the exit code."""
     cli.check_number("--rounds", options.rounds, 1, 100)
     cli.check_opengl()
-    out = cli.writable_folder(options.out)
+    out = cli.results_folder(options.out, "speed")
     if options.json is not None:
         cli.writable_folder(options.json.parent)
     rounds = 1 if options.quick else options.rounds
@@ -71,7 +71,6 @@ def main(options: Options) -> int:
     figures = [figure for _, section in sections for figure in section]
     load = meanwhile.describe()
     text = report(sections, rounds, load)
-    print(text, end="")
     files = write_report(
         out,
         "speed",
@@ -80,6 +79,7 @@ def main(options: Options) -> int:
         values=as_json(figures, rounds, load),
         copy=options.json,
     )
+    print(text, end="")
     print(f"Saved {out}/ ({', '.join(file.name for file in files)})")
     return cli.DONE
 

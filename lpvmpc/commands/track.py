@@ -126,12 +126,12 @@ def main(options: Options) -> int:
     plant = Plant()
     warn_of_another_car(controller, plant)
     name = re.sub(r"[^\w.-]+", "-", f"{scenario.name}-{options.controller}")
-    if scenario.path.largest_shift > 0.0:
-        print(f"Road: {scenario.source}")
     for sentence in scenario.warnings:
         print("Warning:", sentence, file=sys.stderr)
-    out = cli.writable_folder(options.out or Path("runs") / name)
-    video = cli.writable_folder(Path("videos")) / f"{name}.mp4" if options.render else None
+    out = cli.results_folder(options.out or Path("runs") / name)
+    video = None
+    if options.render:
+        video = cli.results_folder(Path("videos"), f"{name}.mp4") / f"{name}.mp4"
     if options.json is not None:
         cli.writable_folder(options.json.parent)
     viewer = open_viewer(plant, scenario.path) if options.view else None
@@ -155,8 +155,10 @@ def main(options: Options) -> int:
     if len(log) == 0 and log.meta["reason"] == "interrupted":
         raise KeyboardInterrupt  # before the first instant: nothing to save
     result = metrics(log)
-    print_table(result, log)
     interrupted = not save(options, log, result, out)
+    if scenario.path.largest_shift > 0.0:
+        print(f"Road: {scenario.source}")
+    print_table(result, log)
     print(f"Saved {out}/ (metrics.json, trace.parquet, timing.parquet, figures/)")
     if video is not None and len(log) > 1 and not interrupted:
         interrupted = not film(log, video)

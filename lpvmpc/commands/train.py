@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from lpvmpc.errors import LPVMPCError, OptionError
 from lpvmpc.kit import cli
+from lpvmpc.kit.files import replacing
 from lpvmpc.kit.progress import Bar
 
 if TYPE_CHECKING:
@@ -72,7 +73,7 @@ def main(options: Options) -> int:
     data = dataset.read(options.data)
     also = None if options.also is None else dataset.read(options.also)
     car = check_car(data)
-    cli.writable_folder(out.parent)
+    cli.results_folder(out.parent, out.name)
     count = options.seeds or (5 if options.preset == "default" else 1)
     seeds = tuple(range(options.seed, options.seed + count))
     job = train.Job(preset=preset, seeds=seeds)
@@ -87,11 +88,15 @@ def main(options: Options) -> int:
     except KeyboardInterrupt:
         print("Interrupted; --resume goes on from here.", file=sys.stderr)
         return cli.INTERRUPTED
-    print(f"{len(trained.names)} networks, {preset.epochs} epochs in "
-          f"{time.perf_counter() - start:.0f} s")
-    rows = report(trained, data, also, car, out)
-    safetensors.write(out, trained.weights[0].arrays, facts(options, preset.kind, data, rows))
+    took = time.perf_counter() - start
+    fit = f"{out.stem}-fit"
+    with replacing(out.parent, [out.name, *(f"{fit}/{file}" for file in FIT)]) as new:
+        rows, slips = save_fit(trained, data, also, car, cli.writable_folder(new / fit))
+        about = facts(options, preset.kind, data, rows)
+        safetensors.write(new / out.name, trained.weights[0].arrays, about)
     checkpoint.unlink(missing_ok=True)
+    print(f"{len(trained.names)} networks, {preset.epochs} epochs in {took:.0f} s")
+    print_tables(rows, slips)
     print(f"Saved {out} and {out.with_suffix('')}-fit/")
     return cli.DONE
 
@@ -128,13 +133,16 @@ def facts(options: Options, kind: str, data: Dataset, rows: list[dict[str, Any]]
     }
 
 
-def report(
-    trained: Trained, data: Dataset, also: Dataset | None, car: Any, out: Path
-) -> list[dict[str, Any]]:
-    """Print and save R2 and relative errors; returns the rows of R2."""
+FIT = ("r2.csv", "slip.csv", "learning-curve.csv", "learning-curve.png", "prediction.png")
+"""What lies in the folder beside the weights, and is replaced with them."""
+
+
+def save_fit(
+    trained: Trained, data: Dataset, also: Dataset | None, car: Any, folder: Path
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Save R2, relative errors and pictures; returns the rows of R2 and of the errors."""
     from lpvmpc.learn import scores
 
-    folder = cli.writable_folder(out.with_suffix("").with_name(out.stem + "-fit"))
     rows = scores.score_all(trained, data, car, also)
     scores.write_csv(folder / "r2.csv", [{**dict.fromkeys(rows[0], ""), **row} for row in rows])
     kept = scores.predict(trained.weights[0], data, car)
@@ -145,8 +153,7 @@ def report(
         [{"epoch": int(e), "train": a, "test": b} for e, a, b in trained.curve.tolist()],
     )
     scores.draw(folder, trained, data, car)
-    print_tables(rows, slips)
-    return rows
+    return rows, slips
 
 
 def print_tables(rows: list[dict[str, Any]], slips: list[dict[str, Any]]) -> None:

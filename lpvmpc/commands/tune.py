@@ -10,6 +10,7 @@ interrupted (--resume goes on from there).
 
 from __future__ import annotations
 
+import json
 import sys
 import time
 from dataclasses import dataclass, fields, replace
@@ -23,7 +24,7 @@ from lpvmpc.kit.files import write_json
 
 if TYPE_CHECKING:
     from lpvmpc.tune.checkpoint import SearchState
-    from lpvmpc.tune.tuning import SearchStage, Tuned
+    from lpvmpc.tune.tuning import SearchStage, Task, Tuned
 
 
 SPHERE = ("sphere", "generations", "population", "seed", "out", "json")
@@ -92,9 +93,12 @@ def tune(options: Options) -> int:
     )
     for name in task.scenarios:  # what cannot be driven is told before anything is
         load_scenario(name, **tuning.TRACKS.get(name, {}))
-    out = cli.writable_folder(options.out or Path("runs") / f"tune-{options.controller}")
+    out = cli.results_folder(options.out or Path("runs") / f"tune-{options.controller}")
     if options.json is not None:
         cli.writable_folder(options.json.parent)
+    if options.resume and not (out / "checkpoint.json").exists() and is_done(task, out):
+        print(f"This tuning is done already; its results are in {out}/.")
+        return cli.DONE
     jobs = options.jobs or cli.cores()
     print(f"Tuning {task.controller} on {', '.join(task.scenarios)} in {', '.join(task.worlds)}:")
     print(f"at most {task.budget} evaluations of {len(tuning.runs(task, {}))} runs, {jobs} jobs, "
@@ -122,6 +126,15 @@ def tune(options: Options) -> int:
     print_result(tuned, before, after)
     print(f"Saved {out}/ ({', '.join(file.name for file in files)})")
     return cli.DONE
+
+
+def is_done(task: Task, out: Path) -> bool:
+    """Whether the results of a task lie in a folder: it was stopped after its last step."""
+    try:
+        found = json.loads((out / "tuning.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return isinstance(found, dict) and found.get("task") == task.record()
 
 
 class GenerationTable:
@@ -208,7 +221,7 @@ def show_sphere(options: Options) -> int:
         value = getattr(options, field.name)
         if field.name not in SPHERE and value != field.default:
             raise OptionError(f"--{field.name}", value, "left out with --sphere")
-    out = cli.writable_folder(options.out or Path("docs/results"))
+    out = cli.results_folder(options.out or Path("docs/results"), "sphere")
     if options.json is not None:
         cli.writable_folder(options.json.parent)
     from lpvmpc.tune import sphere, sphere_report
@@ -223,9 +236,9 @@ def show_sphere(options: Options) -> int:
         population=options.population or sphere.SETTINGS.population,
     )
     study = sphere.run(options.seed, settings=settings, say=say)
-    print(sphere_report.report(study), end="")
     files = sphere_report.save(study, out)
     if options.json is not None:
         write_json(options.json, sphere_report.as_json(study))
+    print(sphere_report.report(study), end="")
     print(f"Saved {out}/ ({', '.join(file.name for file in files)})")
     return cli.DONE

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from lpvmpc.commands.batches import driver, prepare, wrapped
 from lpvmpc.errors import OptionError
 from lpvmpc.kit import cli
-from lpvmpc.kit.files import write_json, write_picture
+from lpvmpc.kit.files import write_json
 from lpvmpc.kit.progress import Bar
 from lpvmpc.kit.report import write_report
 
@@ -69,7 +69,8 @@ def main(options: Options) -> int:
     cli.check_opengl()
     parts = chosen_parts(options.parts)
     plan = plan_of(options)
-    out = cli.writable_folder(options.out or (QUICK_OUT if options.quick else Path("docs/results")))
+    out = options.out or (QUICK_OUT if options.quick else Path("docs/results"))
+    cli.results_folder(out, NAME)
     if options.json is not None:
         cli.writable_folder(options.json.parent)
     prepare(options.cache, options.resume, NAME)
@@ -84,7 +85,6 @@ def main(options: Options) -> int:
     from lpvmpc.bench.worlds_pictures import pictures
 
     drawn = pictures(found)
-    print(summary(found))
     files = write_report(
         out,
         NAME,
@@ -92,10 +92,9 @@ def main(options: Options) -> int:
         table=worlds_report.as_csv(found),
         values=worlds_report.as_json(found, jobs=jobs),
         copy=options.json,
+        pictures=drawn,
     )
-    for name, figure in drawn.items():
-        files.append(out / name)
-        write_picture(out / name, figure, 200)
+    print(summary(found))
     print(f"Saved {out}/ ({', '.join(file.name for file in files)})")
     return cli.DONE
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lpvmpc.kit.files import write_json, write_picture, write_text
+from lpvmpc.kit.files import replacing, write_json, write_picture, write_text
 from lpvmpc.kit.provenance import commit, machine, versions
 
 if TYPE_CHECKING:
@@ -26,9 +26,12 @@ def write_report(
     values: object = None,
     copy: Path | None = None,
     picture: Figure | None = None,
+    pictures: Mapping[str, Figure] | None = None,
     dpi: int = 200,
 ) -> list[Path]:
     """Write NAME.md, NAME.csv and, where they are given, NAME.json and NAME.png.
+
+    They replace earlier ones all together.
 
     Args:
         folder: Where they go; it must be there.
@@ -38,7 +41,8 @@ def write_report(
         values: The same as a value for JSON.
         copy: A second place for these values, with another name perhaps.
         picture: The picture.
-        dpi: Its resolution [dots per inch].
+        pictures: More of them, by the names of their files.
+        dpi: Their resolution [dots per inch].
 
     Returns:
         The files in the folder.
@@ -46,18 +50,22 @@ def write_report(
     Raises:
         OutputError: One of them cannot be written.
     """
-    files = [folder / f"{name}.md", folder / f"{name}.csv"]
-    write_text(files[0], text)
-    write_text(files[1], table)
+    names = [f"{name}.md", f"{name}.csv"]
     if values is not None:
-        files.append(folder / f"{name}.json")
-        for file in (files[-1], copy):
-            if file is not None:
-                write_json(file, values)
-    if picture is not None:
-        files.append(folder / f"{name}.png")
-        write_picture(files[-1], picture, dpi)
-    return files
+        names.append(f"{name}.json")
+    drawn = {} if picture is None else {f"{name}.png": picture}
+    drawn.update(pictures or {})
+    names += drawn
+    with replacing(folder, names) as new:
+        write_text(new / names[0], text)
+        write_text(new / names[1], table)
+        if values is not None:
+            write_json(new / names[2], values)
+        for file, figure in drawn.items():
+            write_picture(new / file, figure, dpi)
+    if copy is not None and values is not None:
+        write_json(copy, values)
+    return [folder / file for file in names]
 
 
 def csv_text(header: Sequence[str], rows: Iterable[Iterable[object]], digits: int = 6) -> str:

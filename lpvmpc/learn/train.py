@@ -14,6 +14,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -34,6 +35,8 @@ from lpvmpc.units import Array
 
 HELD_OUT = 0.25
 """Share of the runs, or of the samples in the random split, that is held out."""
+KEEP_EVERY = 10.0
+"""Longest time between two checkpoints, from the first epoch that ends after it [s]."""
 BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8
 """Constants of Adam."""
 
@@ -168,31 +171,40 @@ def train(
     if resume and checkpoint is not None and checkpoint.is_file():
         state.read(checkpoint, facts)
     held_out = torch.tensor(np.flatnonzero(~masks[0]))[None]
-    while state.epoch < how.epochs:
-        drawn = [_draw(s, i, state.epoch, masks[i], steps, batch)
-                 for i, (s, _) in enumerate(names)]
-        order = torch.tensor(np.stack(drawn, axis=1))  # (steps, M, batch)
-        losses = []
-        for k in range(steps):
-            position = (state.epoch * steps + k + 1) / (how.epochs * steps)
-            rate = how.rate * (_cycle(position) if how.cycle else 1.0)
-            losses.append(state.step(family, order[k], rate))
-        mean = torch.stack(losses).mean(dim=0)
-        if not torch.isfinite(mean).all():
-            raise LPVMPCError(f"Training diverged in epoch {state.epoch}: the loss is NaN.")
-        state.epoch += 1
-        if state.epoch % max(how.epochs // 200, 1) == 0 or state.epoch == how.epochs:
-            with torch.no_grad():
-                test = (
-                    family.loss(state.parameters[:1], held_out)
-                    if len(names) == 1
-                    else (_first_only(family, state.parameters, held_out))
-                )
-            state.curve.append((state.epoch, float(mean[0]), float(test[0])))
-        if checkpoint is not None and state.epoch % max(how.epochs // 50, 1) == 0:
-            state.write(checkpoint, facts)
-        if progress is not None:
-            progress(state.epoch, float(mean[0]))
+    before, written = state.copy(), time.monotonic()
+    try:
+        while state.epoch < how.epochs:
+            drawn = [_draw(s, i, state.epoch, masks[i], steps, batch)
+                     for i, (s, _) in enumerate(names)]
+            order = torch.tensor(np.stack(drawn, axis=1))  # (steps, M, batch)
+            losses = []
+            for k in range(steps):
+                position = (state.epoch * steps + k + 1) / (how.epochs * steps)
+                rate = how.rate * (_cycle(position) if how.cycle else 1.0)
+                losses.append(state.step(family, order[k], rate))
+            mean = torch.stack(losses).mean(dim=0)
+            if not torch.isfinite(mean).all():
+                raise LPVMPCError(f"Training diverged in epoch {state.epoch}: the loss is NaN.")
+            state.epoch += 1
+            if state.epoch % max(how.epochs // 200, 1) == 0 or state.epoch == how.epochs:
+                with torch.no_grad():
+                    test = (
+                        family.loss(state.parameters[:1], held_out)
+                        if len(names) == 1
+                        else (_first_only(family, state.parameters, held_out))
+                    )
+                state.curve.append((state.epoch, float(mean[0]), float(test[0])))
+            before = state.copy()
+            due = state.epoch % max(how.epochs // 50, 1) == 0
+            if checkpoint is not None and (due or time.monotonic() - written > KEEP_EVERY):
+                before.write(checkpoint, facts)
+                written = time.monotonic()
+            if progress is not None:
+                progress(state.epoch, float(mean[0]))
+    except KeyboardInterrupt:
+        if checkpoint is not None:
+            before.write(checkpoint, facts)  # the last whole epoch, the first ones too
+        raise
     found = state.parameters.detach().numpy().astype(np.float64)
     weights = [
         network_file.Weights(how.kind, family.weights(i, row), {}) for i, row in enumerate(found)
@@ -236,6 +248,13 @@ class _State:
         self.first, self.second = torch.zeros_like(parameters), torch.zeros_like(parameters)
         self.epoch, self.steps = 0, 0
         self.curve: list[tuple[float, float, float]] = []
+
+    def copy(self) -> _State:
+        """The same, in memory of its own."""
+        other = _State(self.parameters.detach().clone())
+        other.first, other.second = self.first.clone(), self.second.clone()
+        other.epoch, other.steps, other.curve = self.epoch, self.steps, list(self.curve)
+        return other
 
     def step(self, family: Family, samples: Tensor, rate: float) -> Tensor:
         """One step of Adam; returns the losses before it, shape (M,)."""

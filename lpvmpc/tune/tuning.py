@@ -289,14 +289,20 @@ def tune(
     by_hand = as_dict(_by_hand(task.controller))
     file = None if checkpoint is None else Path(checkpoint)
     states = _read(file, task) if resume and file is not None else []
+
+    def save() -> None:
+        if file is not None:
+            saved = [one.to_json() for one in states]
+            write_json(file, {"format": FORMAT, "task": task.record(), "stages": saved})
+
+    if not states:
+        save()  # a tuning that is interrupted before its first generation can be resumed, too
     current, results = dict(by_hand), []
     for i, stage in enumerate(stages(task)):
 
         def keep(state: SearchState, i: int = i, stage: SearchStage = stage) -> None:
             states[i:] = [state]
-            if file is not None:
-                saved = [one.to_json() for one in states]
-                write_json(file, {"format": FORMAT, "task": task.record(), "stages": saved})
+            save()
             if after is not None:
                 after(stage, state)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lpvmpc.control.weights_file import write_weights
-from lpvmpc.kit.files import write_json, write_picture, write_text
+from lpvmpc.kit.files import replacing, write_json, write_picture, write_text
 from lpvmpc.kit.markdown import markdown_table
 from lpvmpc.kit.provenance import commit, machine, versions
 from lpvmpc.kit.report import csv_text, record
@@ -112,7 +112,7 @@ def save(
     after: Sequence[dict[str, Any]],
     folder: Path,
 ) -> list[Path]:
-    """Write weights.toml, tuning.md, tuning.json, history.csv and convergence.png.
+    """Write weights.toml, tuning.md, tuning.json, history.csv and convergence.png, all together.
 
     Raises:
         OutputError: One of them cannot be written.
@@ -120,7 +120,6 @@ def save(
     from lpvmpc.picture.figures import DPI
 
     names = ("weights.toml", "tuning.md", "tuning.json", "history.csv", "convergence.png")
-    weights, md, values, table, picture = (folder / name for name in names)
     task = tuned.task
     record = {
         "tuned_on": list(task.scenarios),
@@ -134,12 +133,14 @@ def save(
         "cost_is": driving.RISK,
         "lpvmpc": versions()["lpvmpc"],
     }
-    write_weights(weights, task.controller, tuned.weights, record)
-    write_text(md, report(tuned, before, after))
-    write_text(table, as_csv(tuned))
-    write_picture(picture, draw(tuned), DPI)
-    write_json(values, as_json(tuned, before, after))
-    return [weights, md, values, table, picture]
+    with replacing(folder, names) as new:
+        weights, md, values, table, picture = (new / name for name in names)
+        write_weights(weights, task.controller, tuned.weights, record)
+        write_text(md, report(tuned, before, after))
+        write_text(table, as_csv(tuned))
+        write_picture(picture, draw(tuned), DPI)
+        write_json(values, as_json(tuned, before, after))
+    return [folder / name for name in names]
 
 
 def as_json(
