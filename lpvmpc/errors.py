@@ -67,7 +67,19 @@ class OutputError(LPVMPCError, OSError):
     """A result cannot be written where it was asked for."""
 
 
+LONGEST = 300
+"""Most characters that are quoted of a message that somebody else has written."""
+
+
 def described(error: BaseException) -> str:
-    """An exception in one line: its class and the first line of its message."""
-    first = (str(error).strip().splitlines() or [""])[0].rstrip(".")
-    return f"{type(error).__name__}: {first}" if first else type(error).__name__
+    """An exception in one line: its class and the first line of its message.
+
+    An exception of a user's class, whose message may itself raise or be endless, is no exception.
+    """
+    name = type(error).__name__
+    try:
+        lines = str(error).strip().splitlines() or [""]
+    except Exception:
+        return name
+    first = "".join(c if c.isprintable() else " " for c in lines[0][:LONGEST]).rstrip(". ")
+    return f"{name}: {first}" if first else name

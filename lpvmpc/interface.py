@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from dataclasses import asdict, dataclass, field, is_dataclass
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from lpvmpc.errors import OptionError
+from lpvmpc.errors import OptionError, described
 from lpvmpc.units import Array
 
 FALLBACKS = ("", "shifted", "braking", "driving")
@@ -227,85 +228,152 @@ MAX_PREVIEW = 3000
 
 
 def declared(controller: Controller) -> Declared:
-    """Read what a controller says of itself; see `Controller`.
+    """Read what a controller says of itself, each attribute once; see `Controller`.
 
     Raises:
-        OptionError: An attribute that cannot be what it has to be; the message names it.
+        OptionError: An attribute that cannot be what it has to be, or cannot be read; the message
+            names it.
     """
-    name = getattr(controller, "name", None) or type(controller).__name__
-    Ts = getattr(controller, "Ts", None)
+    name = _read(controller, "name") or type(controller).__name__
+    if not (isinstance(name, str) and len(name) <= 200 and name.isprintable()):
+        raise OptionError("controller name", shown(name), "a text of up to 200 characters")
+    Ts = _read(controller, "Ts")
     if Ts is not None and not (_is_number(Ts) and Ts > 0.0):
-        raise OptionError("controller Ts", Ts, "a number of seconds above 0")
-    Np = _steps("Np", getattr(controller, "Np", 10))
-    steps = _steps("preview_steps", getattr(controller, "preview_steps", Np))
-    given = getattr(controller, "weights", None)
-    weights: Any = {} if given is None else given
-    if is_dataclass(weights) and not isinstance(weights, type):
-        weights = asdict(weights)
-    if not isinstance(weights, Mapping):
-        raise OptionError("controller weights", given, "a dataclass, or numbers by name")
-    for key, value in weights.items():
-        if not (isinstance(key, str) and (isinstance(value, str | bool) or _is_number(value))):
-            raise OptionError(f"controller weight {key}", value, "a finite number or a text")
-    stiffness = getattr(getattr(controller, "stiffness", None), "name", None)
+        raise OptionError("controller Ts", shown(Ts), "a number of seconds above 0")
+    Np = _steps("Np", _read(controller, "Np", 10))
+    steps = _steps("preview_steps", _read(controller, "preview_steps", Np))
+    stiffness = _read(_read(controller, "stiffness"), "name")
     return Declared(
         name=str(name),
         Ts=None if Ts is None else float(Ts),
         Np=Np,
         preview_steps=steps,
-        weights=dict(weights),
+        weights=_weights(_read(controller, "weights")),
         stiffness=stiffness if isinstance(stiffness, str) else None,
     )
 
 
+def _weights(given: Any) -> dict[str, Any]:
+    """Weights as a controller tells them, checked: plain numbers and texts by name."""
+    allowed = "a dataclass, or numbers by name"
+    try:
+        weights: Any = {} if given is None else given
+        if is_dataclass(weights) and not isinstance(weights, type):
+            weights = asdict(weights)
+        items = list(weights.items()) if isinstance(weights, Mapping) else None
+    except (Exception, SystemExit) as error:
+        raise OptionError("controller weights", _Text(described(error)), allowed) from error
+    if items is None:
+        raise OptionError("controller weights", shown(given), allowed)
+    for key, value in items:
+        if not (isinstance(key, str) and (isinstance(value, str | bool) or _is_number(value))):
+            what = key if isinstance(key, str) else shown(key)
+            raise OptionError(
+                f"controller weight {what}", shown(value), "a finite number or a text"
+            )
+    return {key: value.item() if isinstance(value, np.number) else value for key, value in items}
+
+
 def clamped_inputs(controller: Controller) -> int | None:
     """Inputs of its network outside the trained range since the reset; None: it has none."""
-    count = getattr(getattr(controller, "stiffness", None), "clamped", None)
-    return count if isinstance(count, int) else None
+    count = _read(_read(controller, "stiffness"), "clamped")
+    return count if type(count) is int else None
 
 
-def told_by(controller: Controller) -> Diagnostics | None:
+def told_by(controller: Controller, Np: int, trusted: bool = False) -> Diagnostics | None:
     """What a controller tells of its last command; fields that it leaves out have their defaults.
+
+    Args:
+        controller: Who tells.
+        Np: Horizon that it has declared [periods].
+        trusted: Whether a `Diagnostics` of it needs no check.
+
+    Returns:
+        A copy with checked fields; `prediction` is empty where none is told.
 
     Raises:
         OptionError: A field that cannot be what it has to be; the message names it.
     """
-    told = getattr(controller, "diagnostics", None)
-    if told is None or type(told) is Diagnostics:
-        return told
-    whole = Diagnostics()
-    for f in fields(Diagnostics):
-        value = getattr(told, f.name, None)
-        if value is not None:
-            setattr(whole, f.name, value)
-    whole.solved = bool(whole.solved)
-    if whole.fallback not in FALLBACKS:
-        raise OptionError("diagnostics.fallback", whole.fallback, f"one of {FALLBACKS}")
+    if trusted:
+        own = getattr(controller, "diagnostics", None)
+        if type(own) is Diagnostics:
+            return own
+    told = _read(controller, "diagnostics")
+    if told is None:
+        return None
+    whole = Diagnostics(prediction=np.zeros((0, 5)))
+    solved = _read(told, "solved", True)
+    if not isinstance(solved, bool | np.bool_ | int):
+        raise OptionError("diagnostics.solved", shown(solved), "True or False")
+    whole.solved = bool(solved)
+    fallback = _read(told, "fallback", "")
+    if not (isinstance(fallback, str) and fallback in FALLBACKS):
+        raise OptionError("diagnostics.fallback", shown(fallback), f"one of {FALLBACKS}")
+    whole.fallback = str(fallback)
     for name in ("kkt_residual", "build_us", "solve_us", "check_us"):
-        value = getattr(whole, name)
-        if not isinstance(value, int | float | np.number) or isinstance(value, bool):
-            raise OptionError(f"diagnostics.{name}", value, "a number")
-    if getattr(told, "prediction", None) is None:
-        whole.prediction = np.zeros((0, 5))
+        value = _read(told, name, 0.0)
+        if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+            raise OptionError(f"diagnostics.{name}", shown(value), "a number")
+        try:
+            setattr(whole, name, float(value))
+        except (ArithmeticError, TypeError, ValueError):  # 10**400, a complex number
+            raise OptionError(f"diagnostics.{name}", shown(value), "a number") from None
+    prediction = _read(told, "prediction")
+    if prediction is None:
+        return whole
+    shape: object = type(prediction).__name__
     try:
-        whole.prediction = np.asarray(whole.prediction, dtype=np.float64)
-    except (TypeError, ValueError):
-        whole.prediction = np.zeros(1)  # refused below, as every wrong shape
-    if whole.prediction.ndim != 2 or whole.prediction.shape[1] != 5:
+        whole.prediction = np.array(prediction, dtype=np.float64)
+        shape = whole.prediction.shape
+    except (Exception, SystemExit):  # refused below, as every wrong shape
+        whole.prediction = np.zeros(1)
+    if whole.prediction.shape == (1, 5) and type(told) is Diagnostics:  # left at its default
+        whole.prediction = np.zeros((0, 5))
+    if whole.prediction.shape not in ((Np + 1, 5), (0, 5)):
         raise OptionError(
-            "diagnostics.prediction", type(told).__name__, "numbers of shape (Np + 1, 5)"
+            "diagnostics.prediction", shape, f"numbers of shape (Np + 1, 5) = ({Np + 1}, 5)"
         )
     return whole
 
 
+class _Text(str):
+    """A text that an error message shows without quotes."""
+
+    __repr__ = str.__str__
+
+
+def shown(value: Any) -> Any:
+    """A value for a message, even where it cannot be shown; at most 80 characters."""
+    try:
+        text = " ".join(repr(value).split())
+    except (Exception, SystemExit):  # 10**5000 too
+        text = f"an object of class {type(value).__name__}"
+    return _Text(text if len(text) <= 80 else text[:77] + "...")
+
+
+def _read(thing: Any, name: str, default: Any = None) -> Any:
+    """An attribute of something that a user has written; its default where there is none."""
+    try:
+        value = getattr(thing, name, default)
+    except (Exception, SystemExit) as error:
+        raise OptionError(
+            f"attribute {name} of {type(thing).__name__}", _Text(described(error)), "readable"
+        ) from error
+    return default if value is None else value
+
+
 def _steps(name: str, value: Any) -> int:
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
-        raise OptionError(f"controller {name}", value, "a whole number")
+        raise OptionError(f"controller {name}", shown(value), "a whole number")
     if not 1 <= value <= MAX_PREVIEW:
-        raise OptionError(f"controller {name}", value, f"from 1 to {MAX_PREVIEW}")
+        raise OptionError(f"controller {name}", shown(value), f"from 1 to {MAX_PREVIEW}")
     return int(value)
 
 
 def _is_number(value: Any) -> bool:
-    number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-    return number and bool(np.isfinite(value))
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+        return False
+    try:
+        return math.isfinite(value)
+    except (ArithmeticError, TypeError, ValueError):  # 10**400, a complex number
+        return False

@@ -85,7 +85,7 @@ def test_the_trace_says_how_it_was_made_and_not_when(point_plant, straight, tmp_
 def test_times_are_in_their_own_file(point_plant, straight, tmp_path):
     simulate(point_plant, Noisy(), straight).write(tmp_path)
     table = pq.read_table(tmp_path / "timing.parquet")
-    assert table.column_names == ["t_s", "step_us", "build_us", "solve_us", "check_us"]
+    assert table.column_names == ["t_s", "step_us", "build_us", "solve_us", "check_us", "wall_us"]
     assert table["solve_us"][0].as_py() == 2.0
 
 

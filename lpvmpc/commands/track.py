@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 USER_TIMEOUT = 60.0
-"""Longest time of one call of a user's controller, by default [s]."""
+"""Longest time of one call of a user's controller or estimator, by default [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,8 +104,8 @@ class Options:
     delay: int = 0
     """Control periods after which a command reaches the car, told to the controller."""
     step_timeout: float | None = None
-    """Longest time of one controller call, compiling included, before the run is given up [s]
-    (default: 60 for your own controller, no limit for the package's)."""
+    """Longest time of one call of the controller, or of your own estimator, compiling included,
+    before the run is given up [s] (default: 60 for your own, no limit for the package's)."""
     json: Path | None = None
     """Write the metrics to this file as well."""
 
@@ -122,6 +122,7 @@ def main(options: Options) -> int:
     offset = options.start_offset or (0.0, 0.0)
     check_start(scenario, options.laps, offset)
     own = ":" in options.controller
+    limit = USER_TIMEOUT if own or ":" in (options.estimator or "") else None
     controller = load_controller(options.controller, **controller_options(options, own))
     plant = Plant()
     warn_of_another_car(controller, plant)
@@ -147,7 +148,7 @@ def main(options: Options) -> int:
             estimator=options.estimator,
             delay=options.delay,
             latency=None if options.latency is None else options.latency / 1000.0,
-            step_timeout=options.step_timeout or (USER_TIMEOUT if own else None),
+            step_timeout=options.step_timeout or limit,
             progress=watch,
             name=options.controller,
             options=scenario_options(options),

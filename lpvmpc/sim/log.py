@@ -50,7 +50,7 @@ MOTION = (
 )
 """Scalar columns of the trace, in the order in which `Recorder.row` takes them."""
 PER_WHEEL = ("Fx_{}_N", "Fy_{}_N", "Fz_{}_N", "slip_ratio_{}", "slip_angle_{}_rad", "mu_{}")
-TIMES = ("t_s", "step_us", "build_us", "solve_us", "check_us")
+TIMES = ("t_s", "step_us", "build_us", "solve_us", "check_us", "wall_us")
 
 
 @dataclass
@@ -60,7 +60,8 @@ class Log:
     columns: dict[str, npt.NDArray[Any]]
     """Trace, one array of shape (n,) per column; units are in the names."""
     timing: dict[str, Array]
-    """Thread CPU times of the controller's calls [us], one array of equal length per column."""
+    """Times of the controller's calls [us], one array of equal length per column: CPU times, those
+    of `step_us` of all threads together, and the wall-clock time `wall_us`."""
     meta: dict[str, Any]
     """Scenario, controller, seed, options, outcome, versions, hash of the model."""
     scenario: Scenario

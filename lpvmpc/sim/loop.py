@@ -19,26 +19,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lpvmpc.control.registry import oracle_of
-from lpvmpc.errors import LPVMPCError, OptionError
-from lpvmpc.interface import (
-    FALLBACKS,
-    Command,
-    Controller,
-    Declared,
-    State,
-    clamped_inputs,
-    declared,
-    told_by,
-)
+from lpvmpc.errors import EstimatorError, LPVMPCError, OptionError
+from lpvmpc.interface import FALLBACKS, Command, Controller, State
 from lpvmpc.kit.provenance import model_sha256, versions
 from lpvmpc.plant.deviations import NOMINAL, Deviations
 from lpvmpc.plant.plant import Plant
 from lpvmpc.road.surface import Surface
 from lpvmpc.sensing.sensors import Sensors
+from lpvmpc.sim.driver import Answer, Driver, InProcess
 from lpvmpc.sim.ending import STUCK_SPEED, TIME_FACTOR, check_start, why_lost
 from lpvmpc.sim.ground import Ground
-from lpvmpc.sim.guard import TimeLimit, checked_command
+from lpvmpc.sim.guard import Alarm, Guard
 from lpvmpc.sim.log import Log, Recorder
 from lpvmpc.sim.names import load_estimator
 from lpvmpc.sim.perception import Perception
@@ -76,7 +67,8 @@ def simulate(
 
     The car starts trimmed on the reference: at its speed, curvature and wind, everything settled.
     A closed track is driven for whole laps. Ctrl-C ends the run early; the Log then holds what
-    was recorded until then, with `meta["reason"] == "interrupted"`.
+    was recorded until then, with `meta["reason"] == "interrupted"`. A controller or an estimator
+    that fails after the first instant ends the run as a lost car does: its sentence is the reason.
 
     Args:
         plant: The car; reset here, its friction set from the scenario.
@@ -97,7 +89,8 @@ def simulate(
             0 to 0.2 (default: the world's). Neither is told to the controller here.
         deviations: How the car differs from the one that the controller knows (default: the
             world's, and in a world that leaves the car alone the plant's own).
-        step_timeout: Longest wall-clock time of one call of the controller [s]; None: no limit.
+        step_timeout: Longest wall-clock time of one call of the controller, and of one of the
+            estimator [s]; None: no limit.
         progress: Called at every control instant with the driven fraction of the path.
         name: Name of the controller in results (default: its attribute `name`, else its class).
         options: Further options to record in the trace.
@@ -108,8 +101,9 @@ def simulate(
     Raises:
         OptionError: An option outside its domain, or a controller of another control period.
         UnknownNameError, DataError: No such world or estimator.
-        EstimatorError: The estimator raised, or has no state.
-        ControllerError: The controller raised, hung, or returned something that is no command.
+        EstimatorError: The estimator raised, hung, or has no state, at the first instant.
+        ControllerError: The controller raised, hung, or returned something that is no command, at
+            the first instant.
     """
     if type(seed) is not int or seed < 0:
         raise OptionError("seed", seed, "a whole number from 0")
@@ -118,43 +112,40 @@ def simulate(
     check_start(scenario, laps, start_offset)
     if step_timeout is not None and not (math.isfinite(step_timeout) and step_timeout > 0.0):
         raise OptionError("step_timeout", step_timeout, "a positive number of seconds")
-    Ts = plant.Ts
-    about = declared(controller)
-    if about.Ts is not None and not math.isclose(about.Ts, Ts, rel_tol=1e-9):
-        raise OptionError("controller Ts", about.Ts, f"the plant's, {Ts} s")
-    if name:
-        about = replace(about, name=name)
-    worlds, senses, guesses = children(seed)
-    draw = load_world(world).sample(worlds)
-    if estimator is None:
-        estimator = "none" if draw.sensing.exact else "ekf"
-    if deviations is None and draw.deviations != NOMINAL:
-        deviations = draw.deviations
-    if latency is None:
-        step = plant.latency_step
-        latency = round(draw.latency / step) * step
-    with _changed(plant, latency, deviations, draw.surface.level):
-        meant = replace(draw, latency=plant.latency, deviations=plant.deviations)
-        scenario = replace(scenario, wind=draw.wind(scenario.wind))
-        loop = _Loop(
-            plant, controller, scenario, about, delay, step_timeout, laps, start_offset,
-            draw.surface,
-        )
-        if not draw.sensing.exact or estimator != "none":
-            sensors = Sensors(draw.sensing, Ts, senses)
-            guess = load_estimator(estimator, car=plant.params, sensing=draw.sensing, Ts=Ts)
-            servo = plant.deviations if draw.steering_sensor == "servo" else None
-            loop.perception = Perception(
-                scenario, sensors, guess, estimator, servo, about.preview_steps, loop.rows
-            )
-        wall = time.perf_counter()
-        try:
-            with loop.limit.installed():
+    with Alarm().installed() as alarm:
+        driver = InProcess(controller, name, alarm, step_timeout)
+        about, Ts = driver.about, plant.Ts
+        if about.Ts is not None and not math.isclose(about.Ts, Ts, rel_tol=1e-9):
+            raise OptionError("controller Ts", about.Ts, f"the plant's, {Ts} s")
+        worlds, senses, guesses = children(seed)
+        draw = load_world(world).sample(worlds)
+        if estimator is None:
+            estimator = "none" if draw.sensing.exact else "ekf"
+        if deviations is None and draw.deviations != NOMINAL:
+            deviations = draw.deviations
+        if latency is None:
+            step = plant.latency_step
+            latency = round(draw.latency / step) * step
+        with _changed(plant, latency, deviations, draw.surface.level):
+            meant = replace(draw, latency=plant.latency, deviations=plant.deviations)
+            scenario = replace(scenario, wind=draw.wind(scenario.wind))
+            loop = _Loop(plant, driver, scenario, delay, laps, start_offset, draw.surface)
+            if not draw.sensing.exact or estimator != "none":
+                sensors = Sensors(draw.sensing, Ts, senses)
+                servo = plant.deviations if draw.steering_sensor == "servo" else None
+                limit = step_timeout if ":" in estimator else None  # the package's may compile
+                guard = Guard("Estimator", estimator, EstimatorError, alarm, limit)
+                guess = load_estimator(estimator, car=plant.params, sensing=draw.sensing, Ts=Ts)
+                loop.perception = Perception(
+                    scenario, sensors, guess, guard, servo, about.preview_steps, loop.rows
+                )
+            wall = time.perf_counter()
+            try:
                 reason = loop.run(seed, progress, guesses)
-        except KeyboardInterrupt:
-            reason = "interrupted"
-        wall = time.perf_counter() - wall
-    meta = loop.meta(reason, wall)
+            except KeyboardInterrupt:
+                reason = "interrupted"
+            wall = time.perf_counter() - wall
+        meta = loop.meta(reason, wall)
     told = {"delay": delay, **loop.told(meant, estimator)}
     if laps != 1:
         told["laps"] = laps
@@ -185,31 +176,33 @@ def _changed(
             plant.tilt()
 
 
+def sentence(error: object) -> str:
+    """An error as the reason for which a run ended: one line, without its full stop."""
+    return " ".join(str(error).split()).rstrip(".")
+
+
 class _Loop:
     """State of one running simulation."""
 
     def __init__(
         self,
         plant: Plant,
-        controller: Controller,
+        driver: Driver,
         scenario: Scenario,
-        about: Declared,
         delay: int,
-        step_timeout: float | None,
         laps: int,
         start_offset: tuple[float, float],
         surface: Surface,
     ):
-        self.plant, self.controller, self.scenario = plant, controller, scenario
-        self.about = about
-        self.limit = TimeLimit(step_timeout, about.name)
+        self.plant, self.driver, self.scenario = plant, driver, scenario
+        self.about = driver.about
         self.delay = delay
         self.length = laps * scenario.path.length
         self.start_offset = start_offset
         self.reference_duration = laps * scenario.reference_duration
         self.time_limit = TIME_FACTOR * self.reference_duration
         self.rows = math.ceil(self.time_limit / plant.Ts) + 2
-        self.recorder = Recorder(self.rows, about.Np, len(plant.qpos))
+        self.recorder = Recorder(self.rows, driver.about.Np, len(plant.qpos))
         self.ground = Ground(plant, scenario, surface)
         self.perception: Perception | None = None
         self.has_qp = False
@@ -218,16 +211,15 @@ class _Loop:
 
     def run(self, seed: int, progress: Progress | None, guesses: np.random.Generator) -> str:
         """Drive; returns why the run ended early, "" at the end of the path."""
-        plant, scenario, controller = self.plant, self.scenario, self.controller
+        plant, scenario, driver = self.plant, self.scenario, self.driver
         path, Ts, length = scenario.path, plant.Ts, self.length
         state = self._start()
-        self.limit.call("reset", 0.0, controller.reset, np.random.default_rng(seed))
+        driver.reset(seed)
         held = plant.held
         perception = self.perception
         if perception is not None:
             perception.start(state, guesses)
         queue = deque([held] * self.delay)
-        oracle = oracle_of(controller)
         s, stuck, k = 0.0, 0, 0
         while True:
             t, s_before = k * Ts, s
@@ -251,15 +243,17 @@ class _Loop:
                 self._record(t, state, preview, preview, held, None)
                 return reason
             seen, ahead = state, preview
-            if perception is not None:
-                seen, ahead = perception.look(state, preview.psi[0], t, held)
-            if oracle is not None:
-                oracle.observe(plant.axles)
-            cpu = time.thread_time_ns()
-            answer = self.limit.call("command", t, controller.command, seen, ahead)
-            cpu = time.thread_time_ns() - cpu
-            held = command = checked_command(answer, self.about.name, t)
-            self._record(t, state, preview, ahead, command, cpu * 1e-3)
+            try:
+                if perception is not None:
+                    seen, ahead = perception.look(state, preview.psi[0], t, held)
+                answer = driver.ask(t, seen, ahead, plant.axles if driver.oracle else None)
+            except LPVMPCError as error:
+                if k == 0:  # nothing is driven yet
+                    raise
+                self._record(t, state, preview, preview, held, None)
+                return sentence(error)
+            held = command = answer.command
+            self._record(t, state, preview, ahead, command, answer)
             if progress is not None:
                 progress(s / length)
             if self.delay:
@@ -275,12 +269,16 @@ class _Loop:
     def meta(self, reason: str, wall_s: float) -> dict[str, Any]:
         """What is recorded beside the columns."""
         car = self.plant.params
+        events, unknowns, wrong = 0, dict[str, float](), ""
+        if self.perception is not None:
+            events, unknowns, wrong = self.perception.told()
+        reason = reason or sentence(wrong)
         return {
             "scenario": self.scenario.name,
             "controller": self.about.name,
             "stiffness": self.about.stiffness,
-            "clamped_inputs": clamped_inputs(self.controller),
-            "told_axle_forces": oracle_of(self.controller) is not None,
+            "clamped_inputs": self.driver.clamped(),
+            "told_axle_forces": self.driver.oracle,
             "Ts": self.plant.Ts,
             "Np": self.about.Np,
             "completed": not reason,
@@ -291,8 +289,8 @@ class _Loop:
             "lap_times_s": np.diff([0.0, *self.lap_ends]).tolist(),
             "has_qp": self.has_qp,
             "footprint_m": (car.lf, car.lr, car.width),
-            "estimator_events": 0 if self.perception is None else self.perception.events,
-            "estimator_unknowns": {} if self.perception is None else self.perception.unknowns,
+            "estimator_events": events,
+            "estimator_unknowns": unknowns,
             "wall_s": wall_s,
             "realtime_factor": self.duration / wall_s,
             "versions": versions(),
@@ -336,17 +334,17 @@ class _Loop:
         preview: Preview,
         ahead: Preview,
         command: Command,
-        step_us: float | None,
+        answer: Answer | None,
     ) -> None:
-        """Fill one row; the controller saw `ahead`, and was not called where `step_us` is None."""
+        """Fill one row; the controller saw `ahead`, and did not answer where `answer` is None."""
         log, plant = self.recorder, self.plant
         k = log.n
         log.wheels[k] = plant.wheels
         log.qpos[k] = plant.qpos
         residual = math.nan
-        if step_us is not None:
+        if answer is not None:
             times = 0.0, 0.0, 0.0
-            diagnostics = told_by(self.controller)
+            diagnostics = answer.told
             if diagnostics is not None:
                 self.has_qp = True
                 residual = diagnostics.kkt_residual
@@ -355,7 +353,7 @@ class _Loop:
                 times = diagnostics.build_us, diagnostics.solve_us, diagnostics.check_us
                 if len(diagnostics.prediction):
                     log.prediction(ahead, diagnostics.prediction)
-            log.times[log.calls] = t, step_us, *times
+            log.times[log.calls] = t, answer.cpu_us, *times, answer.wall_us
             log.calls += 1
         log.motion[k] = (
             t, preview.s, state.x, state.y, state.psi, state.vx, state.vy, state.r, state.delta,

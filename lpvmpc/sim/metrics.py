@@ -13,7 +13,7 @@ the first; an RMSE is the plain root of the mean square over those instants.
 - steering rate: root mean square of the commanded angle's change from one instant to the next,
   over the control period; what a restless controller asks of its servo.
 - estimate: ey of the estimated position less the true one; None where nothing was estimated.
-- step time: thread CPU time of the controller's `command` [us].
+- step time: CPU time of the controller's `command`, all threads together [us].
 """
 
 from __future__ import annotations

@@ -121,7 +121,9 @@ def _users(
     module_name, _, class_name = name.partition(":")
     try:
         module = own_module(module_name)
-    except (Exception, SystemExit) as error:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
         if isinstance(error, ModuleNotFoundError) and error.name == module_name.partition(".")[0]:
             why = "there is no such module in the current directory or PYTHONPATH"
         else:
@@ -140,15 +142,19 @@ def _users(
         parameters = ()
     try:
         made = maker(**{key: offered[key]() for key in offered if key in parameters})
-    except LPVMPCError:
+    except (LPVMPCError, KeyboardInterrupt):
         raise
-    except (Exception, SystemExit) as error:
+    except BaseException as error:
         raise error_class(
             f"{Kind} {name!r} cannot be made from what {kind}s are given ({', '.join(offered)}, "
             f"each where it asks for it): {described(error)}."
         ) from error
     for method in methods:
-        if not callable(getattr(made, method, None)):
+        try:
+            there = callable(getattr(made, method, None))
+        except Exception:  # a property of its own
+            there = False
+        if not there:
             raise error_class(
                 f"{Kind} {name!r} has no method {method!r}, but must have "
                 f"{' and '.join(methods.values())}."

@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from lpvmpc.errors import EstimatorError, LPVMPCError, described
-from lpvmpc.interface import Command, Estimator, Measurement, Preview, State
+from lpvmpc.errors import EstimatorError, LPVMPCError, OptionError
+from lpvmpc.interface import Command, Estimator, Measurement, Preview, State, shown
 from lpvmpc.plant.deviations import Deviations
 from lpvmpc.road.scenario import Scenario
 from lpvmpc.sensing.sensors import Sensors
+from lpvmpc.sim.guard import Guard, checked_state, own_copy
 
 WHEELS = ("fl", "fr", "rl", "rr")
 MEASURED = (
@@ -39,7 +40,7 @@ class Perception:
         scenario: Scenario,
         sensors: Sensors,
         estimator: Estimator,
-        name: str,
+        guard: Guard,
         servo: Deviations | None,
         steps: int,
         rows: int,
@@ -50,14 +51,16 @@ class Perception:
             scenario: The road that is previewed.
             sensors: What measures.
             estimator: What makes a state of it.
-            name: The estimator's name.
+            guard: What calls the estimator, and knows its name.
             servo: The car's deviations, where the steering sensor sits at the servo and so before
                 offset and ratio.
             steps: Periods of preview.
             rows: Largest number of control instants.
         """
         self.scenario, self.sensors, self.estimator = scenario, sensors, estimator
-        self.name, self.servo, self.steps = name, servo, steps
+        self.guard, self.servo, self.steps = guard, servo, steps
+        # compiled for writable arrays; what it writes to is its own copy as well
+        self._ours = type(estimator).__module__.startswith("lpvmpc.sensing.")
         self.diverged = 0
         """How often the estimator returned what is no state, and was reset."""
         self._s = 0.0
@@ -95,6 +98,8 @@ class Perception:
             delta = (state.delta - self.servo.steer_offset) / self.servo.steer_ratio
             seen = state._replace(delta=delta)
         measured = self.sensors.measure(seen, psi_path, t)
+        k = self._n
+        self._measured[k] = (*measured[:-1], *measured.wheel_speed)
         found = self._update(measured, command, t)
         if found is None:
             self.diverged += 1
@@ -103,8 +108,8 @@ class Perception:
             found = self._update(measured, command, t)
             if found is None:
                 raise EstimatorError(
-                    f"Estimator {self.name!r} returned at t = {t:.3f} s, twice and after a reset, "
-                    "what is no State of finite numbers."
+                    f"Estimator {self.guard.name!r} returned at t = {t:.3f} s, twice and after "
+                    "a reset, what is no State of finite numbers."
                 )
         self._last = found
         speed = self.scenario.speed
@@ -113,23 +118,22 @@ class Perception:
             self.sensors.Ts,
         )
         self._s = preview.s
-        k = self._n
-        self._measured[k] = (*measured[:-1], *measured.wheel_speed)
         self._estimated[k] = (*found[:9], preview.s, preview.ey, preview.epsi)
         self._n = k + 1
         return found, preview
 
-    @property
-    def events(self) -> int:
-        """How often the estimator diverged and was reset, by itself or here."""
-        own = getattr(self.estimator, "events", 0)
-        return self.diverged + (own if isinstance(own, int) else 0)
+    def told(self) -> tuple[int, dict[str, float], str]:
+        """What is to be told of the estimator after the run.
 
-    @property
-    def unknowns(self) -> dict[str, float]:
-        """The slow unknowns that the estimator says it has found."""
-        own = getattr(self.estimator, "unknowns", None)
-        return {str(k): float(v) for k, v in own.items()} if isinstance(own, dict) else {}
+        Returns:
+            How often it diverged and was reset, by itself or here; the slow unknowns that it says
+            it has found; and what is wrong with what it says, or "".
+        """
+        try:
+            events, unknowns = self.guard.call("its attributes", 0.0, _told, self.estimator)
+        except LPVMPCError as error:
+            return self.diverged, {}, str(error)
+        return self.diverged + events, unknowns, ""
 
     def columns(self, n: int) -> dict[str, Any]:
         """What was measured and estimated at the first n instants, by column."""
@@ -138,25 +142,29 @@ class Perception:
         return found
 
     def _reset(self, first: State) -> None:
-        try:
-            self.estimator.reset(first, self._rng)
-        except LPVMPCError:
-            raise
-        except Exception as error:
-            raise EstimatorError(
-                f"Estimator {self.name!r} raised in reset: {described(error)}."
-            ) from error
+        self.guard.call("reset", 0.0, self.estimator.reset, own_copy(first, writable=True),
+                        self._rng)
 
     def _update(self, measured: Measurement, command: Command, t: float) -> State | None:
         """The estimator's answer, None where it is no state."""
-        try:
-            answer = self.estimator.update(measured, command)
-        except LPVMPCError:
-            raise
-        except Exception as error:
-            raise EstimatorError(
-                f"Estimator {self.name!r} raised in update at t = {t:.3f} s: {described(error)}."
-            ) from error
-        if type(answer) is not State or not all(map(math.isfinite, answer[:9])):
-            return None
+        given = own_copy(measured, writable=self._ours)
+        answer: State | None = self.guard.call("update", t, self._checked, given, command)
         return answer
+
+    def _checked(self, measured: Measurement, command: Command) -> State | None:
+        return checked_state(self.estimator.update(measured, command))
+
+
+def _told(estimator: Estimator) -> tuple[int, dict[str, float]]:
+    """Events and unknowns as an estimator tells them, checked."""
+    events = getattr(estimator, "events", 0)
+    if type(events) is not int:
+        raise OptionError("estimator events", shown(events), "a whole number")
+    unknowns = getattr(estimator, "unknowns", {})
+    if not isinstance(unknowns, dict):
+        raise OptionError("estimator unknowns", shown(unknowns), "numbers by name")
+    found = {str(name): float(value) for name, value in unknowns.items()}
+    for name, value in found.items():
+        if not math.isfinite(value):
+            raise OptionError(f"estimator unknown {name}", value, "a finite number")
+    return events, found
