@@ -90,7 +90,7 @@ def test_every_tracker_checks_and_falls_back_alike(car, name):
     # what is learned of the steering, gain and offset, is 1 and 0 to rounding here
     np.testing.assert_allclose([command.delta for command in got], wanted, rtol=0.0, atol=1e-9)
     assert [command.ax == BRAKING for command in got] == [False, False, False, True]
-    steps = controller.preview_steps
+    steps = controller.least_preview
     with pytest.raises(OptionError, match=f"length is {steps}, but must be at least {steps + 1} "):
         controller.command(state, seen(n=steps - 1)[1])
 

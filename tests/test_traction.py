@@ -3,7 +3,20 @@
 import numpy as np
 import pytest
 
-from lpvmpc.control.traction import FRICTION_MIN, RELEASE, SLIP_RATIO, hold
+from lpvmpc.control.traction import (
+    BELOW,
+    BRAKE_RELEASE,
+    BRAKING,
+    FRICTION_MIN,
+    LOCKING,
+    RELEASE,
+    SLIP_RATIO,
+    UNLOCK,
+    hold,
+    hold_brakes,
+    left_for_brakes,
+    pace,
+)
 from lpvmpc.plant.mjcf import packaged_car
 
 TS, MOST = 0.033, 3.0
@@ -48,3 +61,57 @@ def test_a_slippery_road_allows_less_slip(car):
 def test_braking_is_not_held(car):
     assert held(car, -0.5, a=-4.0) == MOST
     assert held(car, 1.0, a=-4.0) == 0.0
+
+
+def braked(car, slip, *, allowed=np.inf, holds=np.inf, a=-6.0, vx=15.0, friction=1.0, wheel=1):
+    """Braking allowed, and held by the road, when one wheel is slower than its road."""
+    spin = np.full(4, vx / car.R_w)
+    spin[wheel] *= 1.0 - slip
+    return hold_brakes(
+        allowed, holds, 9.0, a, spin, vx, 0.0, friction, car.R_w, 0.5 * car.track_f, car.vx_min, TS
+    )
+
+
+@pytest.mark.parametrize("wheel", range(4))
+def test_a_locking_wheel_is_let_go_and_braked_a_little_less_afterwards(car, wheel):
+    assert braked(car, 0.9 * LOCKING, wheel=wheel) == (9.0, 9.0)
+    allowed, holds = braked(car, 1.0, wheel=wheel)
+    assert (allowed, holds) == pytest.approx((UNLOCK * BELOW * 6.0, BELOW * 6.0))
+    # still locked while it is let go: nothing new is learned, though less is braked with
+    again = braked(car, 0.5, allowed=allowed, holds=holds, a=-3.0, wheel=wheel)
+    assert again[1] >= holds
+    # it turns again: back to what the road holds, and no further
+    for _ in range(20):
+        allowed, holds = braked(car, 0.0, allowed=allowed, holds=holds, wheel=wheel)
+        assert allowed <= holds
+    assert allowed == holds
+    assert BRAKE_RELEASE > 0.0
+
+
+def test_a_bend_takes_its_share_of_the_brakes(car):
+    assert left_for_brakes(10.0, 0.0, 0.8, np.inf, 7.4) == pytest.approx(0.8 * BRAKING)
+    full = left_for_brakes(10.0, 0.8 * 7.4 / 100.0, 0.8, np.inf, 7.4)
+    assert 0.0 < full < 0.5 * 0.8 * BRAKING
+    assert left_for_brakes(10.0, 0.0, 1.0, 2.0, 7.4) == 2.0
+
+
+def test_a_reference_that_the_road_takes_is_driven_as_it_is(car):
+    vx, kappa = np.linspace(20.0, 18.0, 80), np.full(80, 0.01)
+    np.testing.assert_array_equal(pace(vx, kappa, 1.0, np.inf, car.ay_limit, TS), vx)
+
+
+@pytest.mark.parametrize(("friction", "holds"), [(0.6, np.inf), (1.0, 3.9), (1.0, np.inf)])
+def test_a_bend_that_the_road_does_not_take_is_braked_for_in_time(car, friction, holds):
+    """A straight, then a bend that asks for 1.4 times the limit of a dry road."""
+    n, bend = 150, 100
+    vx = np.full(n, 20.0)
+    kappa = np.where(np.arange(n) < bend, 0.0, 1.4 * car.ay_limit / 400.0)
+    out = pace(vx, kappa, friction, holds, car.ay_limit, TS)
+    believed = min(friction, holds / 6.5)
+    turning = out[bend:] ** 2 * kappa[bend:]
+    assert turning == pytest.approx(np.full(n - bend, believed * car.ay_limit))
+    assert out[0] == 20.0 and (np.diff(out[:bend]) <= 0.0).all()
+    # what the car brakes with over the ground that the reference point covers
+    decel = -0.5 * np.diff(out[:bend] ** 2) / (20.0 * TS)
+    assert decel.max() <= min(BRAKING * believed, holds) + 1e-9
+    assert decel[-1] > 0.5 * BRAKING * believed

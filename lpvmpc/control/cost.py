@@ -67,7 +67,7 @@ class Weights:
     """Where tuning searches: wide enough that no optimum lies on a bound; a report of a tuning
     names those that do."""
 
-    q_vx: float = 20.0
+    q_vx: float = 50.0
     """Weight of the speed error."""
     q_vy: float = 1.0
     """Weight of the lateral speed error."""

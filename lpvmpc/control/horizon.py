@@ -76,7 +76,7 @@ class Horizon:
     """Largest braking [m/s2], drive force [N], power [W], mass with the wheels' spin [kg]."""
     wheels: Array
     """Wheel radius [m], half the front track [m], smallest speed at which slip means something
-    [m/s]; for traction control."""
+    [m/s], largest lateral acceleration on a dry road [m/s2]; for traction control."""
     traction: int
     """Whether there is traction control."""
     u_lo: Array
@@ -159,7 +159,8 @@ class Horizon:
     """How far a disturbance is believed to move within a second, shape (3,); infinite: as far as
     the gain lets it."""
     allowed: Array
-    """Acceleration and braking that traction control allows, both positive [m/s2], shape (2,)."""
+    """Acceleration and braking that traction control allows, and the braking that the road is
+    believed to hold, all positive [m/s2], shape (3,)."""
 
     def __post_init__(self) -> None:
         """Make the handle; numbers of one kind, so that all handles have one type."""
@@ -214,14 +215,14 @@ class Horizon:
         shapes: dict[str, tuple[int, ...]] = {
             "Ad": (N, nx, nx), "Bd": (N, nx, nu), "cd": (N, nx), "axle_forces": (n, 4),
             "x_ref": (N, nx), "terminal": (z, z), "z_ref": (z,), "slack_weights": (2,),
-            "drive": (4,), "wheels": (3,), "u_lo": (N, nu), "u_hi": (N, nu),
+            "drive": (4,), "wheels": (4,), "u_lo": (N, nu), "u_hi": (N, nu),
             "free": (N, nx), "forced": (N, nx, N * nu), "H": (columns, columns),
             "g": (columns,), "C": (rows, columns), "lo": (rows,), "hi": (rows,),
             "plan": (N, 2), "prediction": (N + 1, ns), "schedule": (N + 1, ns),
             "knots": (n + 1, ns),
             "queue": (delay + unknown + 1, 2), "x_last": (ns,), "kappa_last": (1,),
             "predicted": (ns,), "inner": (5,), "gain": (3,), "disturbance": (3,),
-            "unmodelled": (2,), "acting": (4,), "slips": (2,), "allowed": (2,), "lateness": (1,),
+            "unmodelled": (2,), "acting": (4,), "slips": (2,), "allowed": (3,), "lateness": (1,),
             "soft_bound": (1,), "table_lags": (1, 2), "driven": (1,), "noise": (3,), "error": (3,),
             "walk": (3,),
         }

@@ -66,6 +66,9 @@ TAU_DELTA, TAU_AX = Bicycle._fields.index("tau_delta"), Bicycle._fields.index("t
 TABLE_LAGS = ((1.0, 1.0), (2.0, 2.0), (3.0, 4.0))
 """Lags of steering and drive that terminal weights are made for, as multiples of the data sheet's.
 On a straight road the two have no common state, so each is interpolated by itself."""
+LOOK_AHEAD = 100
+"""Periods beyond the horizon over which bends are looked for that the road's friction does not take
+at the reference speed: 3.3 s, in which a car brakes from 25 to 8 m/s."""
 WALK = np.array([2.0, 2.0, 2.0])
 """How far a disturbance is believed to move within a second [m/s2, m/s2, rad/s2]: the paper's wind
 rises by 3 m/s2 in one."""
@@ -113,6 +116,8 @@ class LPVMPC(Tracker):
         learned = (steering_of, drive_of) if form.steering and form.lags else ()
         self.banks = [ServoBank(servo(car), form.Ts, delay) for servo in learned]
         super().__init__(car, _horizon(car, self.bicycle, form, self.weights, delay))
+        if form.decoupled and form.traction:
+            self.preview_steps += LOOK_AHEAD
 
     def reset(self, rng: np.random.Generator) -> None:
         """Forget the run so far. The controller is deterministic: `rng` is not used."""
@@ -144,13 +149,12 @@ class LPVMPC(Tracker):
         if self.informed and self._learn is not None:
             self._learn(h.unmodelled, h.acting, h.slips, a, state.ay)
 
-    def ask(self, delta: float, ax: float) -> float:
-        """The angle to ask for, so that the wheels have this one [rad]."""
+    def ask(self, delta: float, ax: float) -> tuple[float, float]:
+        """What to ask for, so that wheels and drive do this [rad, m/s2]."""
         if not self.banks:
-            return delta
+            return delta, ax
         steering, drive = self.banks
-        drive.asked(ax)
-        return steering.ask(delta)
+        return steering.ask(delta), drive.asked(ax / drive.gain)
 
     def write_qp(self, state: State, preview: Preview) -> None:
         """Adapt, discretise, and write the QP."""
@@ -226,7 +230,7 @@ def _horizon(
         du_max=np.array([min(DELTA_STEP_PAPER, car.delta_rate_max * Ts)]),
         slip_cap=weights.slip_cap if form.slip_cap else np.pi,
         drive=(car.ax_min, car.F_drive_max, car.P_drive_max, car.m_eff),
-        wheels=(car.R_w, 0.5 * car.track_f, car.vx_min),
+        wheels=(car.R_w, 0.5 * car.track_f, car.vx_min, car.ay_limit),
         traction=form.traction,
         soft=EY,
         soft_every=form.span,

@@ -35,8 +35,8 @@ from lpvmpc.control.cost import terminal_weight
 from lpvmpc.control.disturbance import LIMIT, update
 from lpvmpc.control.formulation import EY_MAX
 from lpvmpc.control.qp import condense
+from lpvmpc.control.traction import DRY, hold_brakes, left_for_brakes, pace
 from lpvmpc.control.traction import hold as hold_drive
-from lpvmpc.control.traction import hold_brakes
 
 NEAR = 0.15
 """A car that is no further beside its path than this is pulled onto it [m]."""
@@ -135,7 +135,7 @@ def ahead(h, kappa, vx_ref):
 
 
 @njit(cache=True)
-def bounds(h, car, slip_cap, force):
+def bounds(h, car, slip_cap, force, brakes):
     """Input bounds along the horizon, in place; always reachable within the increment bounds.
 
     Steering: +-delta_max, and no front slip angle above `slip_cap` [rad] along the schedule, since
@@ -150,7 +150,7 @@ def bounds(h, car, slip_cap, force):
         flow = np.arctan2(schedule[k, VY] + car.lf * schedule[k, R], vx)
         u_lo[k, 0] = max(-delta_max, min(flow - slip_cap, delta_max))
         u_hi[k, 0] = min(delta_max, max(flow + slip_cap, -delta_max))
-        u_lo[k, 1] = max(ax_min, -h.allowed[1])
+        u_lo[k, 1] = max(ax_min, -brakes)
         u_hi[k, 1] = min(force, power / vx) / m_eff
         for m in range(len(du_max)):  # what the increment bounds can reach is allowed
             least = (u_lo[k - 1, m] if k > 0 else u_prev[m]) - du_max[m]
@@ -173,26 +173,35 @@ def write(h, kappa, vx_ref, wheel_speed, friction):
     car = unpack(h.car)
     delay = h.delay + int(h.lateness[0])
     kappa, vx_ref = kappa[delay:], vx_ref[delay:]
+    goal, ay_limit = vx_ref, h.wheels[3]
+    if h.traction and h.decoupled:
+        goal = pace(vx_ref, kappa, friction, h.allowed[2], ay_limit, h.Ts)
     if h.decoupled:
         kappa = ahead(h, kappa, vx_ref)
     _, force, _, m_eff = h.drive
+    brakes = -h.drive[0]
     if h.traction:
-        R_w, half_track, vx_min = h.wheels
+        R_w, half_track, vx_min, _ = h.wheels
         x, allowed = h.x_last, h.allowed
         allowed[0] = hold_drive(
             allowed[0], force / m_eff, h.schedule[0, A], wheel_speed, x[VX], x[R], friction, R_w,
             half_track, vx_min, h.Ts,
         )
         force = m_eff * allowed[0]
-        allowed[1] = hold_brakes(
-            allowed[1], -h.drive[0], h.schedule[0, A], wheel_speed, x[VX], x[R], friction, R_w,
-            half_track, vx_min, h.Ts,
+        allowed[1], allowed[2] = hold_brakes(
+            allowed[1], allowed[2], -h.drive[0], h.schedule[0, A], wheel_speed, x[VX], x[R],
+            friction, R_w, half_track, vx_min, h.Ts,
         )
+        brakes = allowed[1]
+        if friction < DRY and h.decoupled:
+            vx = max(x[VX], vx_min)
+            left = left_for_brakes(vx, x[R] / vx, friction, allowed[2], ay_limit)
+            brakes = min(allowed[1], left)
     freeze(h, kappa, car)
-    references(h, kappa, vx_ref, car)
-    terminal_weight(h, vx_ref[len(h.plan)], (car.tau_delta, car.tau_ax))
+    references(h, kappa, goal, car)
+    terminal_weight(h, goal[len(h.plan)], (car.tau_delta, car.tau_ax))
     # the tires' peak moves to smaller slip as the road gets slippery
-    bounds(h, car, h.slip_cap * min(friction, 1.0), force)
+    bounds(h, car, h.slip_cap * min(friction, 1.0), force, brakes)
     condense(h)
 
 

@@ -31,6 +31,8 @@ MEMORY = 15.0
 LAG_STD, LATENCY_STD = 0.5, 0.7
 """How far the logarithm of the lag's factor [-] and the latency [periods] are expected from what
 is known, standard deviations."""
+GAINS = (0.5, 1.5)
+"""Gains that are believed [-]; measurements that have nothing to do with the commands say others."""
 INDEPENDENT = 0.2
 """Share of the errors that count as independent of each other: neighbours are not."""
 N_SUMS = 5
@@ -126,7 +128,8 @@ def _judge(sums, weight, prior, resolution, log_lags, priors, latency, out):
         gain += w * gains[latency, n]
         offset += w * offsets[latency, n]
     out[0], out[1] = math.exp(lag / total), float(latency)
-    out[2], out[3] = 1.0 + gain / total, offset / total
+    out[2] = min(max(1.0 + gain / total, GAINS[0]), GAINS[1])
+    out[3] = offset / total
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -79,8 +79,9 @@ class Tracker:
         """Prediction horizon [periods], control period [s]."""
         self.delay = horizon.delay
         """Known delay between command and effect [periods]."""
-        self.preview_steps = self.Np + len(horizon.queue) - 1
-        """Periods of preview needed: the horizon, and the longest delay before it begins."""
+        self.least_preview = self.preview_steps = self.Np + len(horizon.queue) - 1
+        """Periods of preview needed: the horizon, and the longest delay before it begins. A
+        controller may ask for more than it needs."""
         rows, columns = horizon.C.shape
         self.solver = QPSolver(columns, rows, tolerance)
         self._warm_up()
@@ -122,7 +123,7 @@ class Tracker:
 
         Args:
             state: The car's state now.
-            preview: Reference over at least `preview_steps` periods.
+            preview: Reference over at least `least_preview` periods.
 
         Returns:
             Steering angle [rad] and acceleration [m/s2], within the hard bounds.
@@ -131,9 +132,9 @@ class Tracker:
             OptionError: The preview is too short.
         """
         start = time.thread_time_ns()
-        if len(preview.kappa) <= self.preview_steps:
+        if len(preview.kappa) <= self.least_preview:
             raise OptionError(
-                "preview length", len(preview.kappa), f"at least {self.preview_steps + 1} points"
+                "preview length", len(preview.kappa), f"at least {self.least_preview + 1} points"
             )
         h = self.horizon
         if math.isfinite(
@@ -167,16 +168,16 @@ class Tracker:
             h.prediction[:, :5].copy(),
             h.disturbance.copy(),
         )
-        return Command(self.ask(delta, ax), ax)
+        return Command(*self.ask(delta, ax))
 
-    def ask(self, delta: float, ax: float) -> float:
-        """The angle to ask for, so that the wheels have this one [rad]; here the same.
+    def ask(self, delta: float, ax: float) -> tuple[float, float]:
+        """What to ask for, so that the car does this; here the same.
 
         Args:
             delta: Angle that the wheels are to have [rad].
-            ax: Acceleration that is asked for with it [m/s2].
+            ax: Acceleration that it is to have [m/s2].
         """
-        return delta
+        return delta, ax
 
     def accept(self, z: Array) -> None:
         """Make a solution of the QP the plan and the prediction.

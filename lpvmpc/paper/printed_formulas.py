@@ -111,7 +111,7 @@ def _write(h, kappa, vx_ref, slips):
         h.x_ref[k, VX] = vx_ref[k + 1]
     if slips[TERMINAL]:
         h.x_ref[-1, VX] = 0.0
-    bounds(h, car, h.slip_cap, h.drive[1])
+    bounds(h, car, h.slip_cap, h.drive[1], -h.drive[0])
     if slips[BOUNDS]:
         h.u_lo[:, 1], h.u_hi[:, 1] = -AX_MAX, AX_MAX
     condense(h)

@@ -46,8 +46,8 @@ OTHER_SCALE = SCALES["fleet"]
 """Scale of a world that is not named there [m]."""
 COURSE = 1.0
 """Price of the course error [m/rad], as in the paper's sum."""
-SPEED = 0.05
-"""Price of the speed error [s]: 20 mm/s cost as much as 1 mm beside the line."""
+SPEED = 0.01
+"""Price of the speed error [s]: 100 mm/s cost as much as 1 mm beside the line."""
 STEERING = 0.01
 """Price of the steering rate [m s/rad]: 0.1 rad/s more cost as much as 1 mm."""
 NERVOUS = 0.01
