@@ -32,7 +32,7 @@ LAG_STD, LATENCY_STD = 0.5, 0.7
 """How far the logarithm of the lag's factor [-] and the latency [periods] are expected from what
 is known, standard deviations."""
 GAINS = (0.5, 1.5)
-"""Gains that are believed [-]; measurements that have nothing to do with the commands say others."""
+"""Gains that are believed [-]; measurements that do not follow the commands say others."""
 INDEPENDENT = 0.2
 """Share of the errors that count as independent of each other: neighbours are not."""
 N_SUMS = 5
