@@ -362,17 +362,21 @@ def test_curves_of_the_picture_end_at_the_share_of_completed_runs():
     rows = [row(1.0, seed=1), row(4.0, seed=2), row(2.0, seed=3), row(9.0, seed=4, lost=OFF_PATH)]
     figure = worlds_pictures.shares(rows, lambda cell: cell.controller, ("lpv-mpc", "stanley"))
     (axes,) = figure.axes
-    assert [text.get_text() for text in axes.texts] == [""]
+    assert not axes.texts
     assert axes.get_xlim() == (1.0, 10.0) and list(axes.get_xticks()) == [1.0, 10.0]
     x, y = axes.lines[0].get_data()
     assert np.allclose(x, [1.0, 1.0, 2.0, 4.0]) and np.allclose(y, [0.0, 0.25, 0.5, 0.75])
 
 
-def test_who_lost_every_run_has_no_curve_and_is_named():
+def test_who_lost_every_run_has_no_curve_but_a_cross_where_no_curve_comes():
     rows = [row(1.0, controller="stanley"), row(4.0, lost=OFF_PATH)]
     figure = worlds_pictures.shares(rows, lambda cell: cell.controller, ("lpv-mpc", "stanley"))
     (axes,) = figure.axes
-    assert [text.get_text() for text in axes.texts] == ["all lost by\nlpv-mpc"]
+    assert [text.get_text() for text in axes.texts] == ["all lost"]
+    (cross,) = [line for line in axes.lines if line.get_marker() == "x"]
+    assert cross.get_color() == worlds_pictures._colour(0)  # lpv-mpc, the first of the names
+    curves = [line for line in axes.lines if line is not cross and len(line.get_ydata())]
+    assert cross.get_ydata()[0] < 0.0 == min(min(line.get_ydata()) for line in curves)
 
 
 def test_bars_of_the_picture_are_shares_of_the_range():

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 SHOWN = ("paper", "circuit-65", "circuit-80")
 """Roads of the pictures, a line each."""
+LOST_LEVEL = 0.09
+"""How far below no runs at all those are marked who lost every run [share of runs]."""
 ROW_HEIGHT = 1.55
 """Height of a line of pictures [inch]."""
 
@@ -57,9 +59,9 @@ def shares(rows: Sequence[DrivenCell], who: Callable[[Cell], str], names: Sequen
             axes.set_xticks(powers)
             axes.set_xticks([], minor=True)
             axes.set_xlim(powers[0], powers[-1])
-            axes.set_ylim(-0.03, 1.03)
-            axes.text(0.98, 0.04, _without(groups, (world, road), names), fontsize=5.5, ha="right",
-                      va="bottom", transform=axes.transAxes, color=house.GREY)
+            axes.set_ylim(-2.0 * LOST_LEVEL, 1.03)
+            axes.set_yticks([0.0, 0.5, 1.0])
+            _mark_lost(axes, groups, (world, road), names)
         axes_of_road[0].set_ylabel(f"{ROADS[road].title}\nshare of runs")
     for axes, world in zip(grid[0], worlds, strict=True):
         axes.set_title(world)
@@ -76,16 +78,31 @@ def _decades(values: Sequence[float]) -> list[float]:
     return [10.0**i for i in range(first, last + 1)]
 
 
-def _without(
+def _lost(
     groups: Mapping[tuple[str, ...], Sequence[DrivenCell]], where: tuple[str, str],
     names: Sequence[str],
-) -> str:
-    """Who has no curve in a world on a road: those that lost every run; or nobody drove it."""
+) -> list[str] | None:
+    """Who has no curve in a world on a road, since every run was lost; None where nobody drove."""
     driven = {name: groups[(*where, name)] for name in names if (*where, name) in groups}
-    lost = [name for name, rows in driven.items() if not any(row.completed for row in rows)]
     if not driven:
-        return "not driven"
-    return "\n".join(["all lost by", *lost]) if lost else ""
+        return None
+    return [name for name, rows in driven.items() if not any(row.completed for row in rows)]
+
+
+def _mark_lost(
+    axes: Any, groups: Mapping[tuple[str, ...], Sequence[DrivenCell]], where: tuple[str, str],
+    names: Sequence[str],
+) -> None:
+    """A cross for everyone who lost all runs, below the axis of no runs, where no curve comes."""
+    below = axes.get_yaxis_transform()  # x as a share of the width, y as a share of the runs
+    lost = _lost(groups, where, names)
+    for k, name in enumerate(reversed(lost or [])):
+        axes.plot(0.96 - 0.06 * k, -LOST_LEVEL, "x", color=_colour(names.index(name)), ms=3.5,
+                  mew=1.2, transform=below)
+    if lost is None or lost:
+        text = "not driven" if lost is None else "all lost"
+        axes.text(0.98 - 0.06 * (len(lost or [])), -LOST_LEVEL, text, fontsize=5.5, ha="right",
+                  va="center", transform=below, color=house.GREY)
 
 
 def _curve(axes: Any, rows: Sequence[DrivenCell], i: int, name: str) -> None:
