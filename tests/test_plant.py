@@ -240,7 +240,8 @@ def test_yaw_rate_after_a_step_of_the_road_wheel_meets_the_target(vx):
     assert found.t50 == pytest.approx(0.076, abs=0.025)
     assert found.t90 == pytest.approx(0.126, abs=0.025)
     assert found.peak == pytest.approx(0.20, abs=0.025)
-    assert found.overshoot == pytest.approx(0.05, abs=0.03)  # 5-7 % is the target
+    # 5 to 7 % is the target; at 15 m/s the car misses it with 4.5 %, as fidelity.md says.
+    assert (0.045 if vx == 15.0 else 0.05) <= found.overshoot <= 0.07
 
 
 @pytest.mark.parametrize("vx, target", [(12.0, 0.14), (15.0, 0.16), (20.0, 0.20)])

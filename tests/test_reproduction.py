@@ -411,8 +411,9 @@ def test_a_training_is_read_from_its_files(tmp_path):
     )
     one = records.read_training("network", tmp_path)
     assert one.samples == 100 and one.curve[-1] == (2, 0.4, 0.5)
-    assert one.mean("runs", "test") == pytest.approx(0.65)
-    assert one.mean("random", "test") is None
+    assert one.median("runs", "test") == pytest.approx(0.325)  # of 0.65 and 0
+    assert one.spread("runs", "test") == "median of 2 seeds, 0.000 to 0.650"
+    assert one.median("random", "test") is None and one.spread("random", "test") == ""
     (tmp_path / "r2.csv").write_text("seed,split\n0,runs\n")
     with pytest.raises(DataError, match="damaged"):
         records.read_training("network", tmp_path)

@@ -4,8 +4,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lpvmpc.interface import Command
 from lpvmpc.plant.mjcf import packaged_car
-from lpvmpc.studies import wind
+from lpvmpc.studies import side_area, wind
+from lpvmpc.studies.reference.broken_cars import break_car
+from lpvmpc.studies.study import CarUnderTest
 
 
 @pytest.fixture(scope="module")
@@ -58,3 +61,26 @@ def test_a_gust_begins_after_the_start_and_blows_from_the_left(gust):
     speeds = [gust.wind(t) for t in np.arange(0.0, gust.seconds, 0.01)]
     assert gust.wind(0.19) == 0.0 and min(speeds) >= 0.0
     assert f"{max(speeds):g} m/s" in gust.name
+
+
+def test_a_real_side_area_takes_more_wind_and_its_roll_moment_lifts_the_windward_side():
+    car = CarUnderTest.packaged()
+    rolls = []
+    for one in (car, side_area.real(car, roll=False), side_area.real(car, roll=True)):
+        plant = one.plant()
+        assert plant.params.CyA == car.params.CyA  # what a controller is told stays
+        plant.reset(vx=20.0)
+        for _ in range(60):  # wind from the left, to the right
+            plant.step(Command(0.0, 0.2), wind=(0.0, -15.0))
+        rolls.append(plant.roll)
+    assert 0.0 < rolls[0] < rolls[1] < rolls[2]  # right side down
+    p = car.params
+    force = 0.5 * p.rho_air * side_area.AREA * math.hypot(20.0, 15.0) * 15.0
+    # Springs and gravity hold it: K_phi. 15 %: the car drifts with the wind and turns from it.
+    moment = force * (side_area.HEIGHT - p.h)
+    assert rolls[2] - rolls[1] == pytest.approx(moment / p.K_phi, rel=0.15)
+
+
+def test_the_wrong_car_of_a_study_keeps_what_is_wrong_with_it():
+    wrong = break_car("late-forces")
+    assert issubclass(side_area.real(wrong, roll=True).plant_class, wrong.plant_class)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lpvmpc.paper.measurements import Evidence
+from lpvmpc.paper.records import Training
 from lpvmpc.paper.runs import LMPC, OURS, PAPERS, PLAIN
 from lpvmpc.published import BASELINE, HEADING_MAX_DEG, LOSSES, SOLVE_MEAN_MS, TRACKING
 from lpvmpc.tune import sphere
@@ -135,30 +136,36 @@ def _network(e: Evidence) -> Iterable[Number]:
     theirs, ours = e.trainings.get("network-secant"), e.trainings.get("network")
     last = theirs.curve[-1] if theirs else (None, None, None)
 
-    def score(training: object, split: str, part: str) -> float | None:
-        return training.mean(split, part) if training else None  # type: ignore[attr-defined]
+    def score(training: Training | None, split: str, part: str) -> float | None:
+        return training.median(split, part) if training else None
+
+    def spread(training: Training | None, split: str, part: str) -> str:
+        return training.spread(split, part) if training else ""
 
     for key, text, paper, value, remark in (
-        ("r2_train", "R2, training, random split", 0.88, score(theirs, "random", "train"), ""),
+        ("r2_train", "R2, training, random split", 0.88, score(theirs, "random", "train"),
+         spread(theirs, "random", "train")),
         ("r2_test", "R2, test, random split", 0.78, score(theirs, "random", "test"),
-         "leaks: neighbouring samples are almost equal"),
-        ("r2_runs_train", "R2, training, runs held out", None, score(theirs, "runs", "train"), ""),
+         f"{spread(theirs, 'random', 'test')}; leaks: neighbouring samples are almost equal"),
+        ("r2_runs_train", "R2, training, runs held out", None, score(theirs, "runs", "train"),
+         spread(theirs, "runs", "train")),
         ("r2_runs_test", "R2, test, runs held out", None, score(theirs, "runs", "test"),
-         "whole runs are new to the network"),
+         f"{spread(theirs, 'runs', 'test')}; whole runs are new to the network"),
         ("loss_train", "loss, training", LOSSES["training"], last[1],
          "ours: runs held out; paper's is not 1 - R2, 0.12, as it should be"),
         ("loss_test", "loss, validation", LOSSES["validation"], last[2], "ours: runs held out"),
         ("samples", "samples", 10752.0, float(theirs.samples) if theirs else None,
          "paper: CarSim; ours: the MuJoCo car"),
         ("r2_ours_test", "R2 of our network, runs held out", None, score(ours, "runs", "test"),
-         "another network: force and slope from slip, load, friction"),
+         f"{spread(ours, 'runs', 'test')}; another network, given slip, load, forces, friction"),
     ):
         yield Number(key=key, group="network", text=text, paper=paper, ours=value, remark=remark)
     for kind, name in (("network-secant", "paper's network"), ("network", "our network")):
         for axle, value in zip(("front", "rear"), e.stiffness.r2(kind), strict=True):
             yield Number(key=f"r2_driven_{kind}_{axle}", group="network", ours=value,
                          text=f"R2 along {e.stiffness.title}, {name}, {axle}",
-                         remark="a driven lap that is in no data (Fig. 5)")
+                         remark="a driven lap that is in no data (Fig. 5); true state, dry road"
+                         + (", true slip and drive force" if kind == "network" else ""))
 
 
 def _search(e: Evidence) -> Iterable[Number]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import statistics
 import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -58,15 +59,22 @@ class Training:
     """`network` or `network-secant`."""
     curve: tuple[tuple[int, float, float], ...]
     """Epoch, loss on training and on held-out samples."""
-    r2: Mapping[tuple[str, str], tuple[float, float]]
-    """R2 of the front and the rear secant stiffness by split and set, of the first seed."""
+    r2: Mapping[tuple[str, str], tuple[float, ...]]
+    """R2 of the secant stiffness by split and set, mean of both axles, one for each seed."""
     samples: int
     """Samples in the data."""
 
-    def mean(self, split: str, part: str) -> float | None:
-        """Mean of the R2 of both axles, as one number like the paper's; None where not told."""
-        pair = self.r2.get((split, part))
-        return None if pair is None else 0.5 * (pair[0] + pair[1])
+    def median(self, split: str, part: str) -> float | None:
+        """Median of the R2 over the seeds, as one number like the paper's; None where not told."""
+        found = self.r2.get((split, part))
+        return None if not found else statistics.median(found)
+
+    def spread(self, split: str, part: str) -> str:
+        """Seeds, lowest and highest R2 as text; empty where not told."""
+        found = self.r2.get((split, part), ())
+        if len(found) < 2:
+            return "one seed" if found else ""
+        return f"median of {len(found)} seeds, {min(found):.3f} to {max(found):.3f}"
 
 
 def published() -> Path | None:
@@ -139,13 +147,17 @@ def read_training(kind: str, folder: Path) -> Training | None:
 
     def parse() -> Training:
         rows = list(csv.DictReader(scores.read_text().splitlines()))
+        r2: dict[tuple[str, str], list[float]] = {}
+        for row in rows:
+            both = r2.setdefault((row["split"], row["set"]), [])
+            both.append(0.5 * (float(row["C_f"]) + float(row["C_r"])))
         rows = [row for row in rows if row["seed"] == rows[0]["seed"]]
         losses = csv.DictReader(curve.read_text().splitlines())
         own = (row for row in rows if row["split"] == "runs" and row["set"] != "also")
         return Training(
             kind=kind,
             curve=tuple((int(r["epoch"]), float(r["train"]), float(r["test"])) for r in losses),
-            r2={(r["split"], r["set"]): (float(r["C_f"]), float(r["C_r"])) for r in rows},
+            r2={where: tuple(values) for where, values in r2.items()},
             samples=sum(int(row["samples"]) for row in own),
         )
 

@@ -43,8 +43,9 @@ VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
 CROSSOVERS: tuple[Crossover, ...] = get_args(Crossover)
 PAPER = {"mixed": 25.029, "roulette": 27.725, "tournament": 28.722}
 """Costs printed in the paper."""
-BAR = 0.01
-"""Largest median distance to the optimum that we accept from the mixed selection."""
+BAR = 0.004
+"""Largest median distance to the optimum that we accept from our version's mixed selection: twice
+the result, set after it was seen; before, 0.01 was asked for, the paper's own being 0.029."""
 CHOICE = 1000
 """What is added to the seeds for the choice of the crossover, which must not see the others."""
 LEVEL = 0.05
