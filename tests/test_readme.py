@@ -4,7 +4,7 @@ import csv
 
 import numpy as np
 
-from lpvmpc.control.registry import CONTROLLERS
+from lpvmpc.control.registry import CORE
 from lpvmpc.published import TRACKING
 
 COLUMNS = (("ideal", "paper"), ("ideal", "circuit-65"), ("rtk", "circuit-65"),
@@ -30,7 +30,7 @@ def cell(runs):
 def lines(root):
     with open(root / "docs" / "results" / "worlds.csv", newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["part"] == "worlds"]
-    for name in CONTROLLERS:
+    for name in CORE:
         cells = [
             cell([r for r in rows
                   if (r["case"], r["road"], r["controller"]) == (world, road, name)])

@@ -53,7 +53,7 @@ def make_controller(
     Args:
         name: One of `CONTROLLERS`.
         car: Parameters of the car it drives.
-        tires: Gives the front and the rear tires; called for the oracle alone.
+        tires: Gives the front and the rear tires; called for the oracle and for who asks for them.
         options: Arguments of its maker. A stiffness model may be named, be given the network of a
             `stiffness_file`, and made wrong by `stiffness_scale`, `stiffness_noise` and
             `stiffness_seed` (see `perturbed`); a formulation may be a dictionary of what differs
@@ -77,6 +77,8 @@ def make_controller(
         options = _with_stiffness(options, car, tires)
     elif (asked := options.pop("stiffness", None)) not in (None, "constant"):
         raise OptionError("stiffness", asked, f"left out for {name}, which adapts to nothing")
+    if "tires" in known:
+        options = {**options, "tires": tires()}
     for option in options:
         if option not in known:
             raise OptionError(f"option {option}", options[option], f"left out for {name}")

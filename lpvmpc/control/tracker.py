@@ -109,6 +109,11 @@ class Tracker:
         """
         raise NotImplementedError
 
+    def solve(self) -> QPResult:
+        """Solve what `write_qp` wrote; one that solves something else overrides it."""
+        h = self.horizon
+        return self.solver.solve(h.H, h.g, h.C, h.lo, h.hi)
+
     # one period ---------------------------------------------------------------------------
 
     def reset(self, rng: np.random.Generator) -> None:
@@ -145,7 +150,7 @@ class Tracker:
             self.write_qp(state, preview)
             self.informed = True
             built = time.thread_time_ns()
-            result = self.solver.solve(h.H, h.g, h.C, h.lo, h.hi)
+            result = self.solve()
         else:  # nothing is learned from it; the plan of the period before goes on
             if self.informed is not None:
                 self.informed = False

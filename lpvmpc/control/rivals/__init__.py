@@ -33,5 +33,9 @@ class Rival:
 
 
 RIVALS: dict[str, Rival] = {
+    "nmpc": Rival(module="nmpc", maker="NMPC", packages=("casadi",), extra="nmpc", slow=True),
+    "nmpc-textbook": Rival(
+        module="nmpc", maker="TextbookNMPC", packages=("casadi",), extra="nmpc", slow=True
+    ),
 }
 """Rivals by name; `registry.CONTROLLERS` has them too."""
