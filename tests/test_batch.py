@@ -113,7 +113,9 @@ def test_a_run_that_failed_is_driven_again(cache, driven):
     assert len(driven) == 2 and not list(cache.iterdir())
 
 
-@pytest.mark.parametrize("damage", ["", "{", "[]", '{"completed": true}', "\udcff"])
+@pytest.mark.parametrize(
+    "damage", ["", "{", "[]", '{"completed": true}', "\udcff", "[" * 10**5, '{"result": {}}']
+)
 def test_a_damaged_result_is_driven_again(road, cache, driven, damage):
     run = at(road, 10.0)
     (whole,) = drive_all([run], cache=cache)
@@ -122,7 +124,17 @@ def test_a_damaged_result_is_driven_again(road, cache, driven, damage):
     file.write_bytes(damage.encode("utf-8", "surrogateescape"))
     (again,) = drive_all([run], cache=cache)
     assert again == whole and len(driven) == 2
-    assert json.loads(file.read_text()) == again
+    assert json.loads(file.read_text())["result"] == again
+
+
+def test_a_changed_result_is_driven_again(road, cache, driven):
+    (whole,) = drive_all([at(road, 10.0)], cache=cache)
+    (file,) = cache.iterdir()
+    text = file.read_text()
+    digit = str(whole["lateral_rmse_m"])[-1]
+    at_ = text.index(str(whole["lateral_rmse_m"])) + len(str(whole["lateral_rmse_m"])) - 1
+    file.write_text(text[:at_] + str((int(digit) + 1) % 10) + text[at_ + 1 :])
+    assert drive_all([at(road, 10.0)], cache=cache) == [whole] and len(driven) == 2
 
 
 def test_the_key_is_that_of_all_a_run_depends_on(road, tmp_path, monkeypatch, user_module):

@@ -332,18 +332,24 @@ def test_random_bytes_and_pickles_are_refused_and_nothing_is_executed(tmp_path):
     assert not (tmp_path / "executed").exists()
 
 
-def test_flipped_headers_never_crash(changed):
+def test_no_flipped_byte_is_taken_for_the_whole_file(changed):
     file = changed()
-    raw = file.read_bytes()
+    raw, whole = file.read_bytes(), load_weights("network", file)
     rng = np.random.default_rng(1)
     for _ in range(300):
         broken = bytearray(raw)
-        broken[int(rng.integers(0, 700))] = int(rng.integers(256))
+        broken[int(rng.integers(len(raw)))] ^= int(rng.integers(1, 256))
         file.write_bytes(broken)
         try:
-            load_weights("network", file)
+            found = load_weights("network", file)
         except DataError:
-            pass  # refused in one sentence, as it should be
+            continue  # refused in one sentence, as it should be
+        except UserWarning as word:  # the checksum's name itself was hit
+            assert "no checksum" in str(word)
+            continue
+        assert found.metadata == whole.metadata
+        for name, array in whole.arrays.items():
+            np.testing.assert_array_equal(found.arrays[name], array)
 
 
 @pytest.mark.parametrize(
@@ -368,6 +374,23 @@ def test_models_refuse_each_others_weights(car):
         NetworkTire(car, load_weights("network-secant"))
     with pytest.raises(OptionError, match="weights of a 'network-secant'"):
         SecantNetwork(car, load_weights("network"))
+
+
+@pytest.mark.parametrize("kind", ["network", "network-secant"])
+def test_a_changed_number_or_text_is_refused(tmp_path, kind):
+    whole, file = shipped(kind).read_bytes(), tmp_path / "w.safetensors"
+    for place in (len(whole) - 3, whole.index(b"data_sha256") + 20):
+        file.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+        with pytest.raises(DataError, match="its checksum is another"):
+            load_weights(kind, file)
+
+
+def test_weights_without_a_checksum_are_read_with_a_word(tmp_path):
+    arrays, facts = safetensors.read(shipped("network"))
+    del facts["sha256"]
+    numpy_files.save_file(arrays, tmp_path / "old.safetensors", facts)
+    with pytest.warns(UserWarning, match="old.safetensors' have no checksum"):
+        load_weights("network", tmp_path / "old.safetensors")
 
 
 def test_the_file_format_is_safetensors(tmp_path):

@@ -8,8 +8,9 @@ from references import ay_peak
 
 from lpvmpc.errors import OptionError, PathError, UnknownNameError
 from lpvmpc.plant.mjcf import packaged_car
+from lpvmpc.road import random_road
 from lpvmpc.road.names import SCENARIOS
-from lpvmpc.road.scenario import RoadFriction, list_scenarios
+from lpvmpc.road.scenario import RoadFriction, list_scenarios, turning_radius
 from lpvmpc.sim.names import load_scenario
 
 NAMES = list_scenarios()
@@ -242,3 +243,32 @@ def test_the_manoeuvres_have_their_cones_and_the_path_keeps_between_them(params)
     assert len(side) == 8 and np.allclose(np.abs(side), 1.3, atol=0.02)
     assert (np.diff(np.sign(side)) != 0.0).all(), "passed on alternate sides"
     assert load_scenario("circuit", params=params).cones.shape == (0, 2)
+
+
+# Random roads -----------------------------------------------------------------------------------
+
+
+def test_a_random_road_is_the_same_for_the_same_number(params):
+    one, again, other = (load_scenario(f"random-{i}", params=params) for i in (7, 7, 8))
+    np.testing.assert_array_equal(one.path.kappa, again.path.kappa)
+    assert one.path.length != other.path.length and not one.path.closed
+
+
+def test_random_roads_have_hairpins_that_the_car_can_turn(params):
+    lengths = []
+    for i in range(40):
+        road = random_road.random_road(i).path
+        turned = np.abs(road.psi[:, None] - road.psi[None, ::50]).max()
+        assert turned > np.radians(140.0), i
+        assert 1.0 / 15.0 < np.abs(road.kappa).max() < 1.0 / turning_radius(params)
+        assert abs(road.kappa[0]) == 0.0 and road.has_widths
+        lengths.append(road.length)
+    assert 150.0 < min(lengths) and max(lengths) < 900.0
+
+
+@pytest.mark.parametrize(
+    "name", ["random-", "random--1", "random-01", "random-1e3", "random-9999999999"]
+)
+def test_a_random_road_needs_a_number(params, name):
+    with pytest.raises(UnknownNameError, match="random-NUMBER"):
+        load_scenario(name, params=params)

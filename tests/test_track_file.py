@@ -97,7 +97,7 @@ def test_a_file_that_is_no_track_is_refused_in_one_sentence(tmp_path, text, mess
 def test_what_is_no_file_is_refused(tmp_path):
     with pytest.raises(PathError, match="does not exist"):
         track_file.read_csv(tmp_path / "none.csv")
-    with pytest.raises(PathError, match="is a directory"):
+    with pytest.raises(PathError, match="it is a directory, not a file"):
         track_file.read_csv(tmp_path)
     (tmp_path / "binary.csv").write_bytes(bytes(range(128, 256)))
     with pytest.raises(PathError, match="not a text file"):

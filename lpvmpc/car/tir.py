@@ -6,6 +6,7 @@ from pathlib import Path
 
 from lpvmpc.car.magic_formula import COEFFICIENTS, coefficients
 from lpvmpc.errors import DataError
+from lpvmpc.kit.files import read_bytes
 from lpvmpc.units import Array
 
 _NAMES_IN_FILE = {
@@ -52,14 +53,17 @@ def read_tir(path: str | Path) -> Array:
             that is no finite number.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8", errors="replace")
+        text = read_bytes(path).decode("utf-8", errors="replace")
     except OSError as error:
-        raise DataError(f"{path} cannot be read: {error.strerror}.") from None
+        why = error.strerror or str(error)
+        raise DataError(f"{path} cannot be read: {why}.") from None
     units, entries = _entries(text)
     for quantity, unit in _SI.items():
         given = units.get(quantity, unit)
         if given.rstrip("s") != unit.rstrip("s"):
-            raise DataError(f"{path} gives {quantity} in {given!r}, but must give it in {unit}.")
+            raise DataError(
+                f"{path} gives {quantity} in {given[:40]!r}, but must give it in {unit}."
+            )
     values, missing = {}, []
     for name in COEFFICIENTS:
         key = _NAMES_IN_FILE.get(name, name)
@@ -101,5 +105,5 @@ def _number(path: str | Path, key: str, value: str) -> float:
     except ValueError:
         number = math.nan
     if not math.isfinite(number):
-        raise DataError(f"{path} gives {key} as {value!r}, but must give a finite number.")
+        raise DataError(f"{path} gives {key} as {value[:40]!r}, but must give a finite number.")
     return number

@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any
 from lpvmpc.commands.batches import driver, prepare, wrapped
 from lpvmpc.errors import OptionError
 from lpvmpc.kit import cli
-from lpvmpc.kit.files import write_json
 from lpvmpc.kit.progress import Bar
 from lpvmpc.kit.report import write_report
 
@@ -168,12 +167,13 @@ def drive(plan: GridPlan, parts: Sequence[str], cache: Path, under: Any) -> Foun
 
 def keeping(drive: Drive, cache: Path) -> Drive:
     """Drives runs, and keeps those that failed apart, so that `looking_up` finds all."""
+    from lpvmpc.sim.batch import keep_result
 
     def driven(runs: Sequence[Run]) -> list[dict[str, Any]]:
         results = drive(runs)
         for run, result in zip(runs, results, strict=True):
             if result["s_end_m"] is None:
-                write_json(cli.writable_folder(cache / FAILED) / f"{run.key()}.json", result)
+                keep_result(cli.writable_folder(cache / FAILED), run.key(), result)
         return results
 
     return driven

@@ -11,7 +11,7 @@ equation of the LPV model at a few speeds.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -20,6 +20,7 @@ from numba import njit
 from lpvmpc.car.bicycle import AF, AR, CORRECTED, DELTA, NU, NX, PHI, VX, A, Bicycle, P, lpv
 from lpvmpc.car.hold import discretise
 from lpvmpc.control.formulation import DELTA_MAX_PAPER, EY_MAX
+from lpvmpc.control.weights_file import check_weights
 from lpvmpc.errors import OptionError
 from lpvmpc.units import Array
 
@@ -42,6 +43,11 @@ SPEEDS = np.geomspace(2.0, 45.0, 16)
 them held."""
 NZ = NX + NU
 """Size of the terminal error: the states, and the input applied last."""
+
+SMALLEST_RATE = 1e-9
+"""Smallest weight of an input's rate: without one no plan is better than another."""
+DOUBLINGS = 12
+"""Most doublings of `_doubled`: 4096 periods, more than two minutes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,18 +96,16 @@ class Weights:
 
     def __post_init__(self) -> None:
         """Refuse what no cost can mean."""
-        for f in fields(self):
-            value = getattr(self, f.name)
-            ok = isinstance(value, int | float) and np.isfinite(value) and value >= 0.0
-            if not ok:
-                raise OptionError(f"weight {f.name}", value, "a number of at least 0")
+        check_weights(self)
         if self.observer_gain > 1.0:
             raise OptionError("weight observer_gain", self.observer_gain, "a number from 0 to 1")
         if self.slip_cap < 0.01:
             raise OptionError("weight slip_cap", self.slip_cap, "at least 0.01 rad")
         for name in ("r_delta", "r_ax"):
-            if getattr(self, name) <= 0.0:
-                raise OptionError(f"weight {name}", getattr(self, name), "a number above 0")
+            if getattr(self, name) < SMALLEST_RATE:
+                raise OptionError(
+                    f"weight {name}", getattr(self, name), f"a number of at least {SMALLEST_RATE:g}"
+                )
 
 
 NERVOUS_WEIGHTS = Weights(
@@ -182,10 +186,35 @@ def cost_to_go(car: Bicycle, tires: Array, q: Array, r_du: Array, Ts: float) -> 
             step = np.block([[Ad, Bd], [np.zeros((NU, size)), np.eye(NU)]])
             push = np.vstack([Bd, np.eye(NU)])
             stage = np.diag(np.append(q[used], np.zeros(NU)))
-            cost = solve_discrete_are(step, push, stage, np.diag(r_du)) - stage
+            try:
+                cost = solve_discrete_are(step, push, stage, np.diag(r_du)) - stage
+            except (np.linalg.LinAlgError, ValueError):
+                cost = _doubled(step, push, stage, r_du) - stage
             where = used + list(range(NX, NZ))
             table[n][np.ix_(where, where)] = 0.5 * (cost + cost.T)
     return table
+
+
+def _doubled(step: Array, push: Array, stage: Array, r_du: Array) -> Array:
+    """The Riccati equation's smallest solution, where eigenvalues do not tell it.
+
+    With a weight of 0 an error may cost nothing for ever: the closed loop has an eigenvalue on the
+    unit circle, and no solution stabilises. The cost over a finite time exists always; after k
+    doublings it is that over 2^k periods.
+
+    Source: Chu, Fan, Lin, Wang, Structure-preserving algorithms for periodic discrete-time
+    algebraic Riccati equations, 2004, section 2.
+    """
+    F, G, H = step, (push / r_du) @ push.T, stage
+    for _ in range(DOUBLINGS):
+        inverse = np.linalg.solve(np.eye(len(F)) + G @ H, np.column_stack([F, G]))
+        W, V = np.split(inverse, 2, axis=1)
+        before = H
+        F, G, H = F @ W, G + F @ V @ F.T, H + F.T @ H @ W
+        G, H = 0.5 * (G + G.T), 0.5 * (H + H.T)
+        if np.abs(H - before).max() <= 1e-12 * np.abs(H).max():
+            break
+    return H
 
 
 def _used(car: Bicycle, state: int) -> bool:

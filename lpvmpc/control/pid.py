@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import ClassVar
 
 from lpvmpc.car.params import VehicleParams
-from lpvmpc.errors import OptionError
+from lpvmpc.control.weights_file import check_weights
 
 DERIVATIVE_LAG = 0.05
 """Time constant of the derivative's filter [s], that of drive and brake."""
@@ -34,11 +33,7 @@ class PIDGains:
 
     def __post_init__(self) -> None:
         """Refuse what is no gain, in the fields of a subclass as well."""
-        for f in fields(self):
-            value = getattr(self, f.name)
-            ok = isinstance(value, int | float) and math.isfinite(value) and value >= 0.0
-            if not ok:
-                raise OptionError(f"weight {f.name}", value, "a number of at least 0")
+        check_weights(self)
 
 
 class SpeedPID:

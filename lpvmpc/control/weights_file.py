@@ -1,6 +1,7 @@
 """Controller weights in TOML files: what `eval/tune.py` writes and `eval/track.py --weights` reads.
 
     controller = "lpv-mpc"
+    sha256 = "2b4c..."
 
     [weights]
     q_ey = 80.0
@@ -9,15 +10,16 @@
     seed = 0
 
 `weights` may name some of the controller's weights or all of them; those it leaves out keep the
-values that were set by hand. `record` says where the weights come from, and is not read. The
-package's own files lie in `lpvmpc/control/weights/`.
+values that were set by hand. `record` says where the weights come from, and is not read. `sha256`
+is the checksum of all else in the file (`kit.files.checksum`), which `write_weights` puts there and
+a file written by hand needs not have; where it is there, it must fit. The package's own files lie
+in `lpvmpc/control/weights/`.
 """
 
 from __future__ import annotations
 
 import json
 import os
-import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, fields, replace
 from functools import cache
@@ -26,9 +28,31 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from lpvmpc.errors import DataError, OptionError
-from lpvmpc.kit.files import write_text
+from lpvmpc.kit.files import checksum, read_toml, write_text
 
 WeightsT = TypeVar("WeightsT")
+PARTS = ("controller", "sha256", "weights", "record")
+"""What a file may hold."""
+LARGEST = 1e6
+"""Largest weight of any controller: beside a larger one, the others are lost in rounding."""
+
+
+def check_weights(weights: Any) -> None:
+    """Refuse weights that are no numbers from 0 to `LARGEST`.
+
+    Args:
+        weights: A dataclass of weights.
+
+    Raises:
+        OptionError: With the weight's name.
+    """
+    for field in fields(weights):
+        value = getattr(weights, field.name)
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not (number and 0.0 <= value <= LARGEST):  # NaN fails it too
+            raise OptionError(
+                f"weight {field.name}", value, f"a number of at least 0 and at most {LARGEST:g}"
+            )
 
 
 def read_weights(file: str | os.PathLike[str], controller: str | None = None) -> dict[str, float]:
@@ -39,17 +63,25 @@ def read_weights(file: str | os.PathLike[str], controller: str | None = None) ->
         controller: The controller they must be for (default: any).
 
     Raises:
-        DataError: The file is missing, no TOML, for another controller, or holds something that is
-            no number.
+        DataError: The file is missing, no TOML, damaged, for another controller, or holds something
+            that is no number.
     """
     path = os.fspath(file)
     try:
-        content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        content = read_toml(path)
     except OSError as error:
         why = error.strerror or str(error)
         raise DataError(f"Weights file {path!r} cannot be read: {why}.") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:
         raise DataError(f"Weights file {path!r} is no TOML: {error}.") from error
+    for name in content:
+        if name not in PARTS:
+            raise DataError(f"Weights file {path!r} holds {name!r}, but may hold only "
+                            f"{', '.join(PARTS)}.")
+    told = content.pop("sha256", None)
+    if told is not None and told != _checksum(content):
+        raise DataError(f"Weights file {path!r} was changed since it was written: its checksum is "
+                        "another; without its line sha256 it is read as written by hand.")
     weights = content.get("weights")
     if not isinstance(weights, dict) or not weights:
         raise DataError(f"Weights file {path!r} has no table [weights] with a number per weight.")
@@ -83,12 +115,20 @@ def write_weights(
     Raises:
         OutputError: It cannot be written.
     """
-    lines = [f"controller = {json.dumps(controller)}", "", "[weights]"]
-    lines += [f"{name} = {float(value)!r}" for name, value in weights.items()]
+    values = {name: float(value) for name, value in weights.items()}
+    content = {"controller": controller, "weights": values, "record": dict(record)}
+    lines = [f"controller = {json.dumps(controller)}", f'sha256 = "{_checksum(content)}"', ""]
+    lines += ["[weights]"]
+    lines += [f"{name} = {value!r}" for name, value in values.items()]
     lines += ["", "[record]"]
     # JSON's strings, numbers and lists are TOML's as well
     lines += [f"{name} = {json.dumps(value)}" for name, value in record.items()]
     write_text(file, "\n".join(lines) + "\n")
+
+
+def _checksum(content: Mapping[str, Any]) -> str:
+    """Checksum of a file's content; a time in a record counts by its text."""
+    return checksum(json.loads(json.dumps(content, default=str)))
 
 
 def apply(weights: WeightsT, changes: Mapping[str, float], source: str = "weights") -> WeightsT:

@@ -1,10 +1,19 @@
-"""Files that are whole or not there: written beside their place, and renamed when complete."""
+"""Files that are whole or not there: written beside their place, and renamed when complete.
+
+And files as users give them: whatever lies under a name, reading it ends, at once, in the content
+of an ordinary file of a size that such files have, or in an exception that says why not.
+"""
 
 from __future__ import annotations
 
+import errno
+import hashlib
 import json
 import os
+import re
 import shutil
+import stat
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -16,6 +25,104 @@ from lpvmpc.kit.signals import ctrl_c_waits
 if TYPE_CHECKING:
     import numpy.typing as npt
     from matplotlib.figure import Figure
+
+MOST = 1 << 20
+"""Largest file of settings that is read [bytes]."""
+DEEPEST = 20
+"""Most levels of lists and tables within each other in a file of settings."""
+_WORD = r"""(?:(?<![\w-])[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*"""
+_DEEP_KEY = re.compile(rf"(?:{_WORD}\.[ \t]*){{{DEEPEST},}}")
+LONGEST = 256
+"""Most bits of a whole number in such a file."""
+KINDS = (
+    (stat.S_ISDIR, "a directory"), (stat.S_ISFIFO, "a pipe"), (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"), (stat.S_ISBLK, "a device"),
+)
+"""What a name may stand for that is no ordinary file."""
+
+
+def read_bytes(file: str | os.PathLike[str], most: int = MOST) -> bytes:
+    """The bytes of an ordinary file.
+
+    Args:
+        file: Its name.
+        most: Its largest size.
+
+    Raises:
+        OSError: It cannot be read, is no ordinary file (a pipe or a device may have no end), or is
+            larger; `strerror` says which.
+    """
+    try:
+        mode = os.stat(file).st_mode
+        for found, name in KINDS:
+            if found(mode):
+                raise OSError(errno.EINVAL, f"it is {name}, not a file")
+        with open(file, "rb") as opened:
+            raw = opened.read(most + 1)
+    except ValueError as error:  # a zero byte
+        raise OSError(errno.EINVAL, "no file can have this name") from error
+    if len(raw) > most:
+        raise OSError(errno.EFBIG, f"it is larger than {most / 2**20:g} MiB")
+    return raw
+
+
+def read_toml(file: str | os.PathLike[str]) -> dict[str, Any]:
+    """The content of a TOML file.
+
+    Raises:
+        OSError: As `read_bytes`.
+        ValueError: It is no TOML, or nested more deeply than any settings are.
+    """
+    text = read_bytes(file).decode("utf-8-sig")
+    if _DEEP_KEY.search(text):  # tomllib's time grows with the square of a key's length
+        raise _too_deep()
+    try:
+        return _plain(tomllib.loads(text))
+    except RecursionError:
+        raise _too_deep() from None
+
+
+def read_json(file: str | os.PathLike[str], most: int = 64 * MOST) -> Any:
+    """The content of a JSON file.
+
+    Raises:
+        OSError: As `read_bytes`.
+        ValueError: It is no JSON, or nested more deeply than any settings are.
+    """
+    text = read_bytes(file, most).decode("utf-8")
+    try:
+        return _plain(json.loads(text))
+    except RecursionError:
+        raise _too_deep() from None
+
+
+def _plain(content: Any) -> Any:
+    """The same, unless it holds what Python cannot even print: see `DEEPEST` and `LONGEST`."""
+    level = [content]
+    for _ in range(DEEPEST):
+        if not level:
+            return content
+        if any(isinstance(value, int) and value.bit_length() > LONGEST for value in level):
+            raise ValueError(f"it holds a whole number of more than {LONGEST} bits")
+        level = [
+            inner
+            for outer in level
+            if isinstance(outer, dict | list)
+            for inner in (outer.values() if isinstance(outer, dict) else outer)
+        ]
+    if level:
+        raise _too_deep()
+    return content
+
+
+def _too_deep() -> ValueError:
+    return ValueError(f"it is nested more than {DEEPEST} levels deep")
+
+
+def checksum(content: Any) -> str:
+    """SHA-256 of what JSON can hold, however it was laid out in its file."""
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 @contextmanager

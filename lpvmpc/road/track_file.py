@@ -9,6 +9,7 @@ from pathlib import Path as FilePath
 import numpy as np
 
 from lpvmpc.errors import PathError
+from lpvmpc.kit.files import MOST, read_bytes
 from lpvmpc.units import Array
 
 COLUMNS = ("x_m", "y_m", "w_tr_right_m", "w_tr_left_m", "vx_mps", "wind_mps")
@@ -27,6 +28,10 @@ SLOWEST = 0.1
 """Slowest reference speed between the ends [m/s]."""
 FASTEST = 60.0
 """Fastest reference speed [m/s]."""
+LARGEST = 64 * MOST
+"""Largest file that is read [bytes]: a million points."""
+SHOWN = 40
+"""Most characters of a file's line that a sentence repeats."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,16 +100,15 @@ def read_csv(file: str | FilePath) -> Track:
 
 def _lines(file: FilePath) -> list[str]:
     """The lines of a text file."""
-    if file.is_dir():
-        raise PathError(f"The track file {file} is a directory.")
-    if not file.exists():
-        raise PathError(f"The track file {file} does not exist.")
     try:
-        return file.read_text(encoding="utf-8-sig").splitlines()
+        return read_bytes(file, LARGEST).decode("utf-8-sig").splitlines()
+    except FileNotFoundError:
+        raise PathError(f"The track file {file} does not exist.") from None
     except UnicodeDecodeError:
         raise PathError(f"The track file {file} is not a text file.") from None
     except OSError as error:
-        raise PathError(f"The track file {file} cannot be read: {error.strerror}.") from None
+        why = error.strerror or str(error)
+        raise PathError(f"The track file {file} cannot be read: {why}.") from None
 
 
 def _names(names: list[str] | None, width: int, file: FilePath) -> list[str]:
@@ -122,7 +126,7 @@ def _names(names: list[str] | None, width: int, file: FilePath) -> list[str]:
     if len(names) != width or "y_m" not in names or len(set(names)) != width:
         raise PathError(
             f"The track file {file} has {width} columns of numbers, but its header says "
-            f"{','.join(names)!r}; it must name each column once, x_m and y_m among them."
+            f"{_short(','.join(names))!r}; it must name each column once, x_m and y_m among them."
         )
     return names
 
@@ -131,12 +135,25 @@ def _numbers(words: list[str], where: str) -> list[float]:
     """The numbers of one line, all finite."""
     try:
         values = [float(word) for word in words]
-    except ValueError as error:
-        bad = str(error).rpartition(": ")[2]
-        raise PathError(f"{where} holds {bad}, which is not a number.") from None
+    except ValueError:
+        bad = next(word for word in words if not _is_number(word))
+        raise PathError(f"{where} holds {_short(bad)!r}, which is not a number.") from None
     if not all(math.isfinite(value) for value in values):
         raise PathError(f"{where} holds NaN or infinity, but all numbers must be finite.")
     return values
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _short(text: str) -> str:
+    """The beginning of a text that may have any length."""
+    return text if len(text) <= SHOWN else f"{text[:SHOWN]}..."
 
 
 def _check_track(table: dict[str, Array], lines: list[int], file: FilePath) -> None:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from lpvmpc.control.rivals import RIVALS
 from lpvmpc.errors import LPVMPCError, OptionError, described
-from lpvmpc.kit.files import write_json
+from lpvmpc.kit.files import checksum, read_json, write_json
 from lpvmpc.kit.provenance import versions, versions_of
 from lpvmpc.kit.workers import check, workers
 from lpvmpc.plant import deviations
@@ -283,7 +283,7 @@ def drive_all(
             for key, result, failed in pool.each(_outcome, missing.items()):
                 found[key] = result
                 if kept is not None and not failed:
-                    write_json(kept / f"{key}.json", result)
+                    keep_result(kept, key, result)
                 done += keys.count(key)
                 if progress is not None:
                     progress(done, len(runs))
@@ -293,10 +293,26 @@ def drive_all(
 def read_result(cache: Path, key: str) -> dict[str, Any] | None:
     """A result that was kept; None where it is absent or damaged, and so has to be driven."""
     try:
-        value = json.loads((cache / f"{key}.json").read_text())
+        kept = read_json(cache / f"{key}.json")
     except (OSError, ValueError):
         return None
-    return value if isinstance(value, dict) and set(value) == set(KEPT) else None
+    if not isinstance(kept, dict) or set(kept) != {"key", "sha256", "result"}:
+        return None
+    result = kept["result"]
+    if not isinstance(result, dict) or set(result) != set(KEPT):
+        return None
+    return result if kept["key"] == key and kept["sha256"] == checksum(result) else None
+
+
+def keep_result(cache: Path, key: str, result: dict[str, Any]) -> None:
+    """Keep a result under its key, with a checksum.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    plain = json.loads(json.dumps(result))  # as it will be read: tuples are lists there
+    kept = {"key": key, "sha256": checksum(plain), "result": plain}
+    write_json(cache / f"{key}.json", kept)
 
 
 Outcome = tuple[str, dict[str, Any], bool]

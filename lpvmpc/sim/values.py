@@ -69,8 +69,12 @@ def value_of(name: str, given: Any) -> Value:
 
 def is_number(value: Any) -> bool:
     """Whether a value is a finite number."""
-    number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-    return number and math.isfinite(value)
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+        return False
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # a whole number of 309 digits or more
+        return False
 
 
 def ends_of(value: Value) -> tuple[float, float]:

@@ -35,7 +35,6 @@ from __future__ import annotations
 
 import math
 import os
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -44,6 +43,7 @@ from typing import Any
 import numpy as np
 
 from lpvmpc.errors import DataError, LPVMPCError, OptionError, UnknownNameError
+from lpvmpc.kit.files import read_toml
 from lpvmpc.plant.actuation import MAX_LATENCY
 from lpvmpc.plant.deviations import NOMINAL, Deviations, named
 from lpvmpc.road.surface import PLAIN, Slope, Surface
@@ -334,10 +334,10 @@ def load_world(world: str | os.PathLike[str] | Mapping[str, Any] | World) -> Wor
     if not name.lower().endswith(".toml"):
         raise UnknownNameError("world", name, [*WORLDS, "FILE.toml"])
     try:
-        table = tomllib.loads(Path(name).read_text(encoding="utf-8"))
+        table = read_toml(name)
     except OSError as error:
         raise DataError(f"Cannot read the world {name!r}: {error.strerror or error}.") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:
         raise DataError(f"{name} is no TOML file: {' '.join(str(error).split())}.") from error
     try:
         return _from_table(table, Path(name).stem)
@@ -377,7 +377,7 @@ def _sensing(given: Any, own: Sensing) -> Sensing:
     for name, value in table.items():
         if name not in known:
             raise UnknownNameError("name in a world's sensing", name, [*known, "base", "scale"])
-        if isinstance(value, Mapping):
+        if isinstance(value, Mapping) and isinstance(getattr(sensing, name), Channel):
             for part in value:
                 if part not in parts:
                     raise UnknownNameError(f"name in sensing {name}", part, parts)

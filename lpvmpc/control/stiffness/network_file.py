@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import warnings
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -43,7 +44,7 @@ def shipped(kind: str) -> Path:
 
 
 def load_weights(kind: str, file: str | os.PathLike[str] | None = None) -> Weights:
-    """Read and check weights.
+    """Read and check weights; a warning tells where a file of before has no checksum.
 
     Args:
         kind: `network` or `network-secant`.
@@ -74,6 +75,12 @@ def load_weights(kind: str, file: str | os.PathLike[str] | None = None) -> Weigh
             )
         if not np.isfinite(arrays[name]).all():
             raise DataError(f"The weights {str(path)!r} have a {name} that is not finite.")
+    if safetensors.SHA256 not in metadata:
+        warnings.warn(
+            f"The weights {str(path)!r} have no checksum, so damage to them cannot be told; "
+            "data_gen/train.py writes one.",
+            stacklevel=2,
+        )
     return Weights(kind, arrays, metadata)
 
 
