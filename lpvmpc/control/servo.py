@@ -132,6 +132,14 @@ def _judge(sums, weight, prior, resolution, log_lags, priors, latency, out):
     out[3] = offset / total
 
 
+@njit(cache=True)
+def _learn(outputs, sums, shared, history, lags, share, measured, rate, keep, Ts,
+           prior, resolution, log_lags, priors, latency, out):
+    """`_advance` and `_judge` in one call, which costs its own."""
+    _advance(outputs, sums, shared, history, lags, share, measured, rate, keep, Ts)
+    _judge(sums, shared[0], prior, resolution, log_lags, priors, latency, out)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Servo:
     """What is known of a servo before it is driven. Its unit is rad or m/s2."""
@@ -217,12 +225,11 @@ class ServoBank:
         Returns:
             Lag of the servo [s], and latency beyond the known one [periods].
         """
-        _advance(
+        _learn(
             self._outputs, self._sums, self._shared, self._history[:LATENCIES], self._lags,
             self._share, measured, self._rate, self._keep, self._Ts,
+            self._prior, self._resolution, self._log_lags, self._priors, latency, self._out,
         )
-        _judge(self._sums, self._shared[0], self._prior, self._resolution, self._log_lags,
-               self._priors, latency, self._out)
         return float(self._out[0]), float(self._out[1])
 
     @property
