@@ -6,10 +6,13 @@ from pathlib import Path
 
 import pytest
 
+from lpvmpc import Plant, load_controller, load_scenario, metrics, simulate
+
 FOLDER = Path(__file__).parents[1] / "examples"
 SAYS = {
     "change_a_weight": r"q_ey .*\n(.* mm .* rad/s\n){3}",
     "compare_two": r"double-lane-change, 186 m +lpv-mpc +stanley\n",
+    "mine": r"^$",  # a class alone, to be named on a command line
     "own_controller": r"^lateral error: RMSE \d+ mm, largest \d+ mm\n$",
     "own_track": r"completed: True, largest lateral error 0\.\d mm",
     "read_trace": r"849 control periods, .* columns:\n",
@@ -24,6 +27,13 @@ def test_an_example_runs(name, tmp_path, monkeypatch, capsys):
     runpy.run_path(str(FOLDER / f"{name}.py"), run_name="__main__")
     out, err = capsys.readouterr()
     assert err == "" and re.search(SAYS[name], out), out
+
+
+def test_mine_drives_the_lane_change(monkeypatch):
+    monkeypatch.chdir(FOLDER)
+    controller = load_controller("mine:Mine")
+    result = metrics(simulate(Plant(), controller, load_scenario("double-lane-change")))
+    assert result["completed"] and result["lateral_max_m"] < 0.5  # half the room beside the car
 
 
 def test_the_readme_lists_them_all_and_each_is_short():

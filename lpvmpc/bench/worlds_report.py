@@ -34,7 +34,7 @@ from lpvmpc.bench.worlds_verdict import RESOLVED, Found, comparisons, margin_tex
 from lpvmpc.kit.findings import promises_sentence, promises_table
 from lpvmpc.kit.markdown import markdown_table
 from lpvmpc.kit.provenance import machine
-from lpvmpc.kit.report import csv_text, finite, record, versions_line
+from lpvmpc.kit.report import at_a_time, csv_text, finite, record, versions_line
 
 TITLE = "What holds outside the perfect world"
 DEFINITIONS = """\
@@ -81,7 +81,7 @@ def report(found: Found, *, jobs: int, pictures: Sequence[str]) -> str:
     lines = [
         f"# {TITLE}" + (" (quick look: a few runs, not the report)" if plan.quick else ""),
         "",
-        f"Machine: {machine()}; {jobs} run{'s' if jobs > 1 else ''} at a time.",
+        f"Machine: {machine()}; {at_a_time(jobs)}.",
         versions_line(),
         f"Seeds: {FIRST_SEED} to {last} in the sampled worlds, the same for every controller and "
         f"model; tuning uses seeds below {TUNING_SEEDS}, so none of these. {len(rows)} runs.",

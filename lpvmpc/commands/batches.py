@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -47,18 +48,65 @@ def results(cache: Path) -> list[Path]:
     return [file for file in cache.glob("*.json") if re.fullmatch(r"[0-9a-f]{32}", file.stem)]
 
 
-def driver(jobs: int, cache: Path, bar: Bar) -> Any:
-    """Makes a function that drives runs under a title, as the packages below want it."""
+def jobs_of(asked: int, backend: str, address: str | None) -> int:
+    """Number of runs at a time; 0 on a Ray cluster: as many as it has CPUs.
+
+    Raises:
+        OptionError: An address without Ray.
+    """
+    from lpvmpc.kit.workers import check
+
+    jobs = asked or (cli.cores() if backend == "local" else 0)
+    check(jobs, backend, address)
+    return jobs
+
+
+def driver(
+    jobs: int, cache: Path | None, bar: Bar, backend: str = "local", address: str | None = None
+) -> Any:
+    """Makes a function that drives runs under a title, as the packages below want it.
+
+    Args:
+        jobs: Number of runs at a time; 0 on a Ray cluster: as many as it has CPUs.
+        cache: Folder of kept results; None keeps nothing.
+        bar: Shows how far it is.
+        backend: One of `kit.workers.BACKENDS`.
+        address: Address of the Ray cluster.
+    """
     from lpvmpc.sim.batch import drive_all
 
     def under(title: str) -> Any:
         def drive(runs: Sequence[Run]) -> list[dict[str, Any]]:
             bar.begin(title, len(runs))
-            return drive_all(runs, jobs=jobs, cache=cache, progress=lambda done, _: bar.at(done))
+            return drive_all(runs, jobs=jobs, cache=cache, backend=backend, address=address,
+                             progress=lambda done, _: bar.at(done))
 
         return drive
 
     return under
+
+
+def interleaved(
+    drive: Callable[[Sequence[Run]], list[dict[str, Any]]], runs: Sequence[Run], of: Sequence[str]
+) -> list[dict[str, Any]]:
+    """Drive runs so that all they belong to advance alike, and the time left can be told.
+
+    Args:
+        drive: Drives runs.
+        runs: What to drive.
+        of: What each belongs to, such as its controller.
+
+    Returns:
+        Results in the order of the runs.
+    """
+    count, seen = Counter(of), Counter[str]()
+    share = []
+    for name in of:
+        share.append((seen[name] + 0.5) / count[name])
+        seen[name] += 1
+    order = sorted(range(len(runs)), key=lambda i: (share[i], i))
+    results = dict(zip(order, drive([runs[i] for i in order]), strict=True))
+    return [results[i] for i in range(len(runs))]
 
 
 def wrapped(sentence: str) -> str:

@@ -13,8 +13,9 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Literal
 
+from lpvmpc.commands.batches import jobs_of
 from lpvmpc.errors import OptionError
 from lpvmpc.kit import cli
 from lpvmpc.kit.progress import Bar
@@ -34,13 +35,17 @@ class Options:
     seed: int = 0
     """Seed of everything random."""
     jobs: int = 0
-    """Number of processes (0: one per core)."""
+    """Number of processes (0: one per core; on Ray, per CPU of the cluster)."""
     resume: bool = False
     """Go on with an interrupted collection."""
     friction: tuple[float, ...] = (1.0,)
     """Scale of the road's peak friction: one number, or lowest and highest of the runs."""
     mass: tuple[float, ...] = ()
     """Mass of the car [kg]: one number, or lowest and highest of the runs (default: its own)."""
+    backend: Literal["local", "ray"] = "local"
+    """Where manoeuvres are driven: processes of this machine, or a Ray cluster."""
+    address: Annotated[str | None, cli.Option(metavar="ADDR")] = None
+    """Address of the Ray cluster (default: Ray decides, and starts one here)."""
 
 
 def main(options: Options) -> int:
@@ -55,12 +60,13 @@ def main(options: Options) -> int:
 
     plan = collect.Plan(samples=options.samples, seed=options.seed, friction=friction, mass=mass)
     cli.results_folder(options.out.parent, options.out.name)
-    jobs = options.jobs or cli.cores()
+    jobs = jobs_of(options.jobs, options.backend, options.address)
     start = time.perf_counter()
     try:
         with Bar("collecting", options.samples, counted=True, unit="samples") as bar:
             found = collect.collect(
-                plan, options.out, jobs=jobs, resume=options.resume, progress=bar.at
+                plan, options.out, jobs=jobs, resume=options.resume, backend=options.backend,
+                address=options.address, progress=bar.at,
             )
     except KeyboardInterrupt:
         print("Interrupted; --resume goes on from here.", file=sys.stderr)
@@ -72,7 +78,8 @@ def main(options: Options) -> int:
     print_table(covered)
     made = options.samples - found
     was = f", {found} were there already" if found else ""
-    print(f"{made} samples in {took:.1f} s with {jobs} jobs: {made / took:.0f} samples/s{was}.")
+    at_once = f"{jobs} jobs" if jobs else "all CPUs of the cluster"
+    print(f"{made} samples in {took:.1f} s with {at_once}: {made / took:.0f} samples/s{was}.")
     print(f"Saved {options.out} and {picture}")
     return cli.DONE
 

@@ -14,9 +14,9 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from lpvmpc.commands.batches import driver, prepare, wrapped
+from lpvmpc.commands.batches import driver, jobs_of, prepare, wrapped
 from lpvmpc.errors import OptionError
 from lpvmpc.kit import cli
 from lpvmpc.kit.progress import Bar
@@ -45,7 +45,7 @@ class Options:
     resume: bool = False
     """Use the results that an earlier run has kept, where nothing they depend on changed."""
     jobs: int = 0
-    """Number of processes (0: one per core)."""
+    """Number of processes (0: one per core; on Ray, per CPU of the cluster)."""
     seeds: int | None = None
     """Seeds of each sampled world (default: 100; 4 with --quick)."""
     parts: tuple[str, ...] = ()
@@ -59,6 +59,10 @@ class Options:
     """Folder where results are kept, emptied unless --resume is given."""
     json: Path | None = None
     """Write the values to this file as well."""
+    backend: Literal["local", "ray"] = "local"
+    """Where runs are driven: processes of this machine, or a Ray cluster."""
+    address: Annotated[str | None, cli.Option(metavar="ADDR")] = None
+    """Address of the Ray cluster (default: Ray decides, and starts one here)."""
 
 
 def main(options: Options) -> int:
@@ -73,10 +77,11 @@ def main(options: Options) -> int:
     if options.json is not None:
         cli.writable_folder(options.json.parent)
     prepare(options.cache, options.resume, NAME)
-    jobs = options.jobs or cli.cores()
+    jobs = jobs_of(options.jobs, options.backend, options.address)
     try:
         with Bar(counted=True, unit="runs") as bar:
-            found = drive(plan, parts, options.cache, driver(jobs, options.cache, bar))
+            under = driver(jobs, options.cache, bar, options.backend, options.address)
+            found = drive(plan, parts, options.cache, under)
     except KeyboardInterrupt:
         print("Interrupted; --resume goes on from here.", file=sys.stderr)
         return cli.INTERRUPTED

@@ -84,6 +84,13 @@ def csv_text(header: Sequence[str], rows: Iterable[Iterable[object]], digits: in
     return text.getvalue()
 
 
+def at_a_time(jobs: int) -> str:
+    """How many runs were driven at a time, in words; 0: one for each CPU of a Ray cluster."""
+    return "one run for each CPU of a Ray cluster" if jobs == 0 else (
+        f"{jobs} run{'s' if jobs > 1 else ''} at a time"
+    )
+
+
 def versions_line() -> str:
     """Versions, commit and day, in one line."""
     used = ", ".join(f"{name} {number}" for name, number in versions().items())

@@ -192,14 +192,19 @@ class _Processes(Pool):
 # A Ray cluster ------------------------------------------------------------------------------------
 
 
+RETRIES = 3
+"""How often a thing is done again whose worker, or whose machine, has died."""
+
+
 class _Ray(Pool):
     """A Ray cluster, that works on so many things at a time."""
 
     def __init__(self, jobs: int, died: str) -> None:
         import ray
 
-        self.jobs, self.died = jobs, died
-        self.call: Any = ray.remote(max_retries=0)(caught)
+        self.jobs = jobs or max(int(ray.cluster_resources().get("CPU", 1)), 1)
+        self.died = died
+        self.call: Any = ray.remote(max_retries=RETRIES)(caught)
 
     def each(self, function: Callable[[T], R], things: Iterable[T]) -> Iterator[R]:
         import ray
@@ -227,7 +232,8 @@ def workers(
     """Workers, for as long as the context lasts.
 
     Args:
-        jobs: Number of processes; with 1, all happens in this one (unless on Ray).
+        jobs: Number of processes; with 1, all happens in this one (unless on Ray). On Ray, 0 is
+            one for each CPU of the cluster.
         backend: One of `BACKENDS`.
         address: Address of the Ray cluster (default: Ray decides, and starts one here).
         died: What to say where a worker dies.
@@ -257,10 +263,11 @@ def check(jobs: int, backend: str = "local", address: str | None = None) -> None
     Raises:
         OptionError: As `workers`.
     """
-    if isinstance(jobs, bool) or not isinstance(jobs, int) or jobs < 1:
-        raise OptionError("jobs", jobs, "a whole number from 1")
     if backend not in BACKENDS:
         raise OptionError("backend", backend, " or ".join(BACKENDS))
+    least = 0 if backend == "ray" else 1
+    if isinstance(jobs, bool) or not isinstance(jobs, int) or jobs < least:
+        raise OptionError("jobs", jobs, f"a whole number from {least}")
     if address is not None and backend != "ray":
         raise OptionError("address", address, "left out unless the backend is 'ray'")
 

@@ -41,7 +41,8 @@ class Course:
     grip: float | None = None
     """Share of the grip that its speed asks for; None: the scenario's own speed."""
     stream: int
-    """Its seeds begin at `FIRST_SEED` + 1000 times this, so that no two courses draw the same."""
+    """Its seeds begin at `FIRST_SEED` + 1000 times this, and 10000 further for each world, so that
+    no two courses and no two worlds draw the same."""
     windy: bool = False
     """Whether the scenario has a wind of its own."""
 
@@ -109,7 +110,7 @@ class Plan:
     """Seeds of `wind` in the world `rtk`."""
     slow_courses: tuple[str, ...] = tuple(COURSES)
     """Courses that slow controllers drive too."""
-    slow_seeds: int = 2
+    slow_seeds: int = 3
     """Seeds that slow controllers drive too."""
     quick: bool = False
     """Whether this is a look, not the report."""
@@ -164,7 +165,7 @@ def _cell(
     return Cell(
         part=part, course=course.key, scenario=course.scenario, world=world,
         grip=course.grip if grip is None else grip,
-        seed=FIRST_SEED + 1000 * course.stream + i, **more,
+        seed=FIRST_SEED + 10_000 * WORLDS.index(world) + 1000 * course.stream + i, **more,
     )
 
 

@@ -45,6 +45,13 @@ def error(row: Row) -> float:
     return float(value) if finished(row) and value is not None else math.inf
 
 
+def reason(row: Row) -> str:
+    """Why a run is charged."""
+    if not completed(row):
+        return str(row.result["reason"])
+    return f"late: {100 * row.result['late_steps'] / row.result['steps']:.0f} % of the steps"
+
+
 class Board:
     """All rows, by cell and controller."""
 

@@ -50,10 +50,13 @@ class Ranks:
 
     @property
     def groups(self) -> list[tuple[str, ...]]:
-        """Largest groups, in the order of the ranks, within which no two differ significantly."""
+        """Largest groups, in the order of the ranks, within which no two differ significantly.
+
+        None where nothing was tested.
+        """
         names: list[str] = list(self.mean)
         found: list[tuple[str, ...]] = []
-        for i, first in enumerate(names):
+        for i, first in enumerate(names if math.isfinite(self.difference) else ()):
             near = [k for k in names[i:] if self.mean[k] - self.mean[first] <= self.difference]
             if not found or near[-1] not in found[-1]:
                 found.append(tuple(near))

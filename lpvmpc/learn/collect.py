@@ -12,10 +12,11 @@ import copy
 import json
 import math
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import mujoco
@@ -24,7 +25,7 @@ import numpy as np
 from lpvmpc.errors import DataError, LPVMPCError, OptionError
 from lpvmpc.kit.files import whole, write_json, writing
 from lpvmpc.kit.provenance import model_sha256, versions
-from lpvmpc.kit.workers import workers
+from lpvmpc.kit.workers import check, workers
 from lpvmpc.learn import dataset, manoeuvres
 from lpvmpc.learn.manoeuvres import KINDS, ROWS
 from lpvmpc.plant.mjcf import car_sha256, compile_model
@@ -105,6 +106,8 @@ def collect(
     *,
     jobs: int = 1,
     resume: bool = False,
+    backend: str = "local",
+    address: str | None = None,
     progress: Progress | None = None,
 ) -> int:
     """Collect data into a file.
@@ -112,8 +115,11 @@ def collect(
     Args:
         plan: What to collect.
         out: The Parquet file; unfinished work lies beside it in a folder named *.parts.
-        jobs: Number of processes.
+        jobs: Number of processes; on Ray, 0 is one for each CPU of the cluster.
         resume: Go on with what an interrupted collection has left.
+        backend: One of `kit.workers.BACKENDS`; on Ray the shards are sent here, so that no folder
+            need be shared.
+        address: Address of the Ray cluster.
         progress: Called with the number of rows done after each shard.
 
     Returns:
@@ -124,7 +130,8 @@ def collect(
         OutputError: Something cannot be written.
         LPVMPCError: A worker process died.
     """
-    if not 1 <= jobs <= 1024:
+    check(jobs, backend, address)
+    if jobs > 1024:
         raise OptionError("jobs", jobs, "a whole number from 1 to 1024")
     facts = json.loads(json.dumps(plan.facts(compile_model(visual=False))))
     folder = out.with_name(out.name + ".parts")
@@ -140,8 +147,14 @@ def collect(
     found = done
     if progress is not None:
         progress(done)
-    with workers(min(jobs, max(len(missing), 1)), died=DIED) as pool:
-        for shard in pool.each(partial(_work, plan, folder, facts), missing):
+    with workers(min(jobs, max(len(missing), 1)), backend, address, DIED) as pool:
+        shards: Iterator[int]
+        if backend == "ray":
+            sent = pool.each(partial(_sent, plan, facts), missing)
+            shards = map(partial(_received, folder), sent)
+        else:
+            shards = pool.each(partial(_work, plan, folder, facts), missing)
+        for shard in shards:
             done += plan.rows_of(shard)
             if progress is not None:
                 progress(done)
@@ -249,6 +262,21 @@ def _shard_file(folder: Path, shard: int) -> Path:
 def _work(plan: Plan, folder: Path, facts: dict[str, Any], shard: int) -> int:
     """Make a shard, in this process or in a worker; gives its number."""
     write_shard(_filler(plan), folder, shard, facts)
+    return shard
+
+
+def _sent(plan: Plan, facts: dict[str, Any], shard: int) -> tuple[int, bytes]:
+    """Make a shard on a machine that shares no folder with ours; gives its number and its file."""
+    with TemporaryDirectory() as folder:
+        write_shard(_filler(plan), Path(folder), shard, facts)
+        return shard, _shard_file(Path(folder), shard).read_bytes()
+
+
+def _received(folder: Path, sent: tuple[int, bytes]) -> int:
+    """Keep a shard that was made elsewhere; gives its number."""
+    shard, content = sent
+    with whole(_shard_file(folder, shard)) as part:
+        part.write_bytes(content)
     return shard
 
 
