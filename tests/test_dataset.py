@@ -159,6 +159,58 @@ def test_values_that_are_no_numbers_are_named_with_their_place(write, columns, b
         dataset.read(write({"Cr_Nprad": broken}))
 
 
+@pytest.mark.parametrize(
+    ("name", "bad"),
+    [("vx_mps", 1e300), ("mass_kg", 0.0), ("friction", 0.0), ("mu", -1.0), ("run", -1),
+     ("alpha_f_rad", 2.0), ("Fzf_N", -1.0), ("Cf_Nprad", 1e12)],
+)
+def test_what_no_car_does_is_named_with_its_place(write, columns, name, bad):
+    broken = columns[name].copy()
+    broken[5] = bad
+    with pytest.raises(DataError, match=f"in column {name}, row 5, but no road car is outside"):
+        dataset.read(write({name: broken}))
+    with pytest.raises(DataError, match=f"in column {name}, row 5"):
+        list(dataset.batches(write({name: broken})))
+
+
+def test_a_column_that_is_there_twice_is_refused(tmp_path, columns):
+    fields = [*dataset.schema(), dataset.schema().field("vx_mps")]
+    arrays = [pa.array(columns[field.name]) for field in fields]
+    schema = pa.schema(fields, metadata=dataset.metadata({"seed": 1}))
+    pq.write_table(pa.table(arrays, schema=schema), tmp_path / "twice.parquet")
+    with pytest.raises(DataError, match="has the column vx_mps 2 times"):
+        dataset.read(tmp_path / "twice.parquet")
+
+
+def test_rows_without_a_value_are_refused(write, columns):
+    kinds = columns["manoeuvre"].astype(object)
+    kinds[3] = None
+    with pytest.raises(DataError, match="column manoeuvre has rows without a value"):
+        dataset.read(write({"manoeuvre": kinds}))
+
+
+def test_no_damaged_byte_is_taken_for_the_whole_file(tmp_path, columns):
+    file = tmp_path / "data.parquet"
+    some = {name: values[:200] for name, values in columns.items()}
+    dataset.write(file, some, {"seed": 1})
+    raw, whole = file.read_bytes(), dataset.read(file)
+    assert whole.checked
+    rng, refused = np.random.default_rng(2), 0
+    for _ in range(150):
+        broken = bytearray(raw)
+        broken[int(rng.integers(len(raw)))] ^= int(rng.integers(1, 256))
+        file.write_bytes(broken)
+        try:
+            found = dataset.read(file)
+        except DataError:
+            refused += 1
+            continue
+        assert not found.checked or found.meta == whole.meta
+        for name in COLUMNS:
+            np.testing.assert_array_equal(found[name], whole[name])
+    assert refused > 100
+
+
 def test_an_empty_file_is_refused(write, columns):
     with pytest.raises(DataError, match="no rows"):
         dataset.read(write({name: values[:0] for name, values in columns.items()}))

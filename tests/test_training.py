@@ -267,7 +267,10 @@ def test_data_of_another_car_are_a_warning(run, file, tmp_path):
     assert len(data)
     code, _, err = run("--data", "other.parquet", "--epochs", 1, "--seeds", 1)
     assert code == 0
-    assert err == "Warning: the data were collected with another vehicle.xml.\n"
+    assert err == (
+        "Warning: the data have no checksum, so damage to them cannot be told.\n"  # it was dropped
+        "Warning: the data were collected with another vehicle.xml.\n"
+    )
 
 
 @pytest.mark.parametrize(

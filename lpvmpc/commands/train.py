@@ -106,6 +106,9 @@ def check_car(data: Dataset) -> Any:
     from lpvmpc.plant.mjcf import car_sha256, compile_model, parameters
 
     model = compile_model(visual=False)
+    if not data.checked:
+        print("Warning: the data have no checksum, so damage to them cannot be told.",
+              file=sys.stderr)
     if data.meta.get("car_sha256") != car_sha256(model):
         print("Warning: the data were collected with another vehicle.xml.", file=sys.stderr)
     return parameters(model)

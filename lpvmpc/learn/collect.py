@@ -23,10 +23,11 @@ import mujoco
 import numpy as np
 
 from lpvmpc.errors import DataError, LPVMPCError, OptionError
-from lpvmpc.kit.files import whole, write_json, writing
+from lpvmpc.kit.files import read_json, whole, write_json, writing
 from lpvmpc.kit.provenance import model_sha256, versions
 from lpvmpc.kit.workers import check, workers
 from lpvmpc.learn import dataset, manoeuvres
+from lpvmpc.learn.columns import SHA256, Digest
 from lpvmpc.learn.manoeuvres import KINDS, ROWS
 from lpvmpc.plant.mjcf import car_sha256, compile_model
 from lpvmpc.plant.plant import Plant
@@ -170,8 +171,10 @@ def _prepare(folder: Path, facts: dict[str, Any]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     if plan_file.is_file():
         try:
-            left = json.loads(plan_file.read_text())
-        except ValueError as error:
+            left = read_json(plan_file)
+            if not isinstance(left, dict):
+                raise ValueError("it is no table")
+        except (OSError, ValueError) as error:
             raise DataError(f"{str(plan_file)!r} is damaged; start without --resume.") from error
         _check_plan(left, facts, folder)
         return
@@ -288,33 +291,25 @@ def _filler(plan: Plan) -> SlotFiller:
 
 def write_shard(filler: SlotFiller, folder: Path, shard: int, facts: dict[str, Any]) -> None:
     """Fill the slots of a shard and write it, whole or not at all."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     plan = filler.plan
     first = shard * SLOTS_PER_SHARD
     slots = [filler.slot(i) for i in range(first, min(first + SLOTS_PER_SHARD, plan.slots))]
-    arrays = [np.concatenate([s[name] for s in slots]) for name in dataset.COLUMNS]
-    fields = dataset.schema().with_metadata(dataset.metadata({**facts, "shard": shard}))
-    table = pa.table([pa.array(a) for a in arrays], schema=fields).slice(0, plan.rows_of(shard))
-    path = _shard_file(folder, shard)
-    with whole(path) as part:
-        pq.write_table(table, part, compression="zstd", write_statistics=False)
+    rows = plan.rows_of(shard)
+    columns = {name: np.concatenate([s[name] for s in slots])[:rows] for name in dataset.COLUMNS}
+    dataset.write(_shard_file(folder, shard), columns, {**facts, "shard": shard})
 
 
 def _whole(folder: Path, shard: int, plan: Plan, facts: dict[str, Any]) -> bool:
-    """Whether a shard is there and belongs to the plan."""
-    import pyarrow.parquet as pq
-
+    """Whether a shard is there, undamaged, and belongs to the plan."""
     path = _shard_file(folder, shard)
     if not path.is_file():
         return False
     try:
-        meta = dataset.read_metadata(path)
+        data = dataset.read(path)
     except DataError:  # cut off by a full disk, perhaps: it is driven again
         return False
-    same = all(meta.get(key) == value for key, value in facts.items())
-    return same and pq.read_metadata(path).num_rows == plan.rows_of(shard)
+    same = all(data.meta.get(key) == value for key, value in {**facts, "shard": shard}.items())
+    return same and data.checked and len(data) == plan.rows_of(shard)
 
 
 def merge(plan: Plan, folder: Path, out: Path, facts: dict[str, Any]) -> None:
@@ -322,7 +317,9 @@ def merge(plan: Plan, folder: Path, out: Path, facts: dict[str, Any]) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    fields = dataset.schema().with_metadata(dataset.metadata(facts))
+    texts = dataset.metadata(facts)
+    fields = dataset.schema().with_metadata(texts)
+    digest = Digest()
     with (
         whole(out) as part,
         pq.ParquetWriter(part, fields, compression="zstd", write_statistics=False) as writer,
@@ -330,8 +327,11 @@ def merge(plan: Plan, folder: Path, out: Path, facts: dict[str, Any]) -> None:
         waiting, rows = [], 0
         for shard in range(plan.shards):
             table = pq.ParquetFile(_shard_file(folder, shard)).read()
+            digest.add({n: table[n].to_numpy() for n in dataset.COLUMNS})
             waiting.append(table.replace_schema_metadata(fields.metadata))
             rows += table.num_rows
             if rows >= ROW_GROUP or shard == plan.shards - 1:
                 writer.write_table(pa.concat_tables(waiting), row_group_size=rows)
                 waiting, rows = [], 0
+        told = {key: json.loads(text) for key, text in texts.items()}
+        writer.add_key_value_metadata({SHA256: json.dumps(digest.hexdigest(told))})

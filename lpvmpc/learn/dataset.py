@@ -13,6 +13,7 @@ import json
 import math
 import os
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -25,6 +26,8 @@ from lpvmpc.car import tire
 from lpvmpc.control.stiffness import network
 from lpvmpc.errors import DataError
 from lpvmpc.interface import State
+from lpvmpc.kit.files import whole
+from lpvmpc.learn.columns import COLUMNS, SHA256, Digest, checksum, what_is_wrong
 from lpvmpc.plant import callbacks
 from lpvmpc.plant.mjcf import tires
 from lpvmpc.units import Array
@@ -36,42 +39,8 @@ if TYPE_CHECKING:
 
 FORMAT = "lpvmpc-stiffness-1"
 """Name and version of the file format, kept in the file's metadata."""
-
-COLUMNS = {
-    "run": "number of the run; rows of one run are consecutive",
-    "manoeuvre": "kind of manoeuvre",
-    "t_s": "time since the start of the recording",
-    "vx_mps": "longitudinal speed of the centre of mass, body frame",
-    "vy_mps": "lateral speed, left positive",
-    "delta_rad": "road-wheel angle of the equivalent single track, left positive",
-    "ax_mps2": "longitudinal acceleration of the centre of mass",
-    "r_radps": "yaw rate, counter-clockwise positive",
-    "Cf_Nprad": "front axle: secant stiffness Fyf / alpha_f, at small slip the slope (label)",
-    "Cr_Nprad": "rear axle: secant stiffness Fyr / alpha_r, at small slip the slope (label)",
-    "Fyf_N": "front axle: lateral force across the wheels' heading, left positive",
-    "Fyr_N": "rear axle: lateral force",
-    "alpha_f_rad": "front axle: slip angle after relaxation, positive gives a force to the left",
-    "alpha_r_rad": "rear axle: slip angle after relaxation",
-    "Fzf_N": "front axle: load",
-    "Fzr_N": "rear axle: load",
-    "mu": "peak friction of tires and road at their loads, weighted by the loads",
-    "wind_mps": "side wind, from the car's left to its right positive",
-    "ay_mps2": "lateral acceleration of the centre of mass",
-    "Fxf_N": "front axle: longitudinal force along the wheels' heading",
-    "Fxr_N": "rear axle: longitudinal force",
-    "slope_f_Nprad": "front axle: local slope of the lateral force over the slip angle",
-    "slope_r_Nprad": "rear axle: local slope",
-    "slope_zero_f_Nprad": "front axle: that slope at slip angle zero, same loads and slip ratios",
-    "slope_zero_r_Nprad": "rear axle: slope at slip angle zero",
-    "alpha_kin_f_rad": "front axle: slip angle of the single track, delta - atan2(vy + lf r, vx)",
-    "alpha_kin_r_rad": "rear axle: slip angle of the single track, -atan2(vy - lr r, vx)",
-    "drive_mps2": "drive or brake acceleration asked of the wheels, after its lag",
-    "roll_rad": "roll angle of the body, right side down positive",
-    "roll_rate_radps": "roll rate of the body",
-    "friction": "scale of the road's peak friction",
-    "mass_kg": "mass of the car",
-}
-"""Columns in their order, and what they mean; units are in the names."""
+MOST_ROWS = 100_000_000
+"""Most rows of a file."""
 
 ALPHA_SMALL, ALPHA_LARGE = 0.004, 0.012
 """Below the first slip angle the label is the slope, above the second the secant [rad]."""
@@ -242,6 +211,8 @@ class Dataset:
     """Metadata of the file: seed, options, versions, hashes."""
     sha256: str
     """Hash of the file's bytes."""
+    checked: bool = True
+    """Whether the file has a checksum, which fits; False for one written without."""
 
     def __len__(self) -> int:
         return len(self.columns["run"])
@@ -259,29 +230,24 @@ def read(file: str | os.PathLike[str]) -> Dataset:
     """Read and check a data file.
 
     Raises:
-        DataError: It is missing, damaged, of another format, lacks columns, or holds NaN.
+        DataError: It is missing, damaged, of another format, lacks columns, or holds what no car
+            does.
     """
-    import pyarrow as pa
-
     path = Path(file)
     with _open(path) as parquet:
         meta = read_metadata(path, parquet)
-        try:
+        with _damaged(path):
             table = parquet.read(columns=list(COLUMNS))
-        except (pa.ArrowException, OSError) as error:
-            raise DataError(f"The data in {str(path)!r} are damaged: {_first(error)}.") from error
-    columns = {name: table[name].to_numpy(zero_copy_only=False) for name in COLUMNS}
-    columns["manoeuvre"] = columns["manoeuvre"].astype(str)
+            columns = _arrays(table)
     if not len(columns["run"]):
         raise DataError(f"The data in {str(path)!r} have no rows.")
-    for name, values in columns.items():
-        if name != "manoeuvre" and not np.isfinite(values).all():
-            row = int(np.flatnonzero(~np.isfinite(values))[0])
-            raise DataError(
-                f"The data in {str(path)!r} hold {values[row]} in column {name}, row {row}, but "
-                "must be finite numbers."
-            )
-    return Dataset(columns, meta, file_sha256(path))
+    told = meta.pop(SHA256, None)
+    if told is not None and told != checksum(columns, meta):
+        raise DataError(f"The data in {str(path)!r} are damaged: their checksum is another.")
+    if wrong := what_is_wrong(columns):
+        raise DataError(f"The data in {str(path)!r} hold {wrong}.")
+    columns["manoeuvre"] = columns["manoeuvre"].astype(str)
+    return Dataset(columns, meta, file_sha256(path), checked=told is not None)
 
 
 def read_metadata(path: Path, parquet: Any = None) -> dict[str, Any]:
@@ -293,39 +259,64 @@ def read_metadata(path: Path, parquet: Any = None) -> dict[str, Any]:
     if parquet is None:
         with _open(path) as opened:
             return read_metadata(path, opened)
-    raw = parquet.schema_arrow.metadata or {}
+    with _damaged(path):
+        raw = parquet.metadata.metadata or {}
+        found = parquet.schema_arrow
     try:
         meta = {k.decode(): json.loads(v) for k, v in raw.items() if not k.startswith(b"ARROW")}
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise DataError(f"{str(path)!r} has metadata that are not JSON.") from error
     if meta.get("format") != FORMAT:
         raise DataError(
-            f"{str(path)!r} has the format {meta.get('format')!r}, but must have {FORMAT!r}; "
-            "data_gen/collect.py makes it anew."
+            f"{str(path)!r} has the format {repr(meta.get('format'))[:40]}, but must have "
+            f"{FORMAT!r}; data_gen/collect.py makes it anew."
         )
-    names, wanted = parquet.schema_arrow, schema()
-    for field in wanted:
-        if field.name not in names.names:
-            raise DataError(f"{str(path)!r} lacks the column {field.name}.")
-        if names.field(field.name).type != field.type:
+    for field in schema():
+        count = found.names.count(field.name)
+        if count != 1:
+            raise DataError(f"{str(path)!r} lacks the column {field.name}." if not count else
+                            f"{str(path)!r} has the column {field.name} {count} times.")
+        if found.field(field.name).type != field.type:
             raise DataError(
-                f"Column {field.name} of {str(path)!r} is of type {names.field(field.name).type}, "
+                f"Column {field.name} of {str(path)!r} is of type {found.field(field.name).type}, "
                 f"but must be {field.type}."
             )
+    if parquet.metadata.num_rows > MOST_ROWS:
+        raise DataError(f"{str(path)!r} has {parquet.metadata.num_rows} rows, but may have at most "
+                        f"{MOST_ROWS}.")
     return meta
 
 
 def _open(path: Path) -> Any:
-    import pyarrow as pa
     import pyarrow.parquet as pq
 
-    if not path.is_file():
-        raise DataError(f"There is no data file {str(path)!r}; data_gen/collect.py makes one.")
+    if not os.path.isfile(path):
+        kind = ": it is no ordinary file" if os.path.exists(path) else ""
+        raise DataError(
+            f"There is no data file {str(path)!r}{kind}; data_gen/collect.py makes one."
+        )
     try:
         # by default pyarrow keeps all of a file that it reads in batches
         return pq.ParquetFile(path, pre_buffer=False)
-    except (pa.ArrowException, OSError) as error:
+    except Exception as error:  # a damaged file may end anywhere in the library
         raise DataError(f"{str(path)!r} is damaged or no Parquet file: {_first(error)}.") from error
+
+
+@contextmanager
+def _damaged(path: Path) -> Iterator[None]:
+    """Say that a file is damaged where the library cannot read it."""
+    try:
+        yield
+    except Exception as error:
+        raise DataError(f"The data in {str(path)!r} are damaged: {_first(error)}.") from error
+
+
+def _arrays(table: Any) -> dict[str, npt.NDArray[Any]]:
+    """The columns of a table or a batch of one."""
+    for name in COLUMNS:
+        if table.column(name).null_count:
+            raise ValueError(f"column {name} has rows without a value")
+    return {name: table.column(name).to_numpy(zero_copy_only=False) for name in COLUMNS}
 
 
 def _first(error: Exception) -> str:
@@ -334,10 +325,54 @@ def _first(error: Exception) -> str:
 
 
 def batches(path: Path, rows: int = 16384) -> Iterator[dict[str, npt.NDArray[Any]]]:
-    """The columns of a checked data file in pieces, so that memory stays flat."""
+    """The columns of a data file in pieces, so that memory stays flat.
+
+    Raises:
+        DataError: As `read`; that the checksum does not fit is known after the last piece.
+    """
+    digest = Digest()
     with _open(path) as parquet:
-        for batch in parquet.iter_batches(rows, columns=list(COLUMNS)):
-            yield {name: batch.column(name).to_numpy(zero_copy_only=False) for name in COLUMNS}
+        meta = read_metadata(path, parquet)
+        pieces = parquet.iter_batches(rows, columns=list(COLUMNS))
+        while True:
+            with _damaged(path):
+                batch = next(pieces, None)
+                if batch is None:
+                    break
+                piece = _arrays(batch)
+            digest.add(piece)
+            if wrong := what_is_wrong(piece):
+                raise DataError(f"The data in {str(path)!r} hold {wrong}.")
+            yield piece
+    if SHA256 in meta and meta[SHA256] != digest.hexdigest(meta):
+        raise DataError(f"The data in {str(path)!r} are damaged: their checksum is another.")
+
+
+def write(
+    file: str | os.PathLike[str], columns: dict[str, npt.NDArray[Any]], facts: dict[str, Any]
+) -> None:
+    """Write data, whole or not at all, with their checksum.
+
+    Args:
+        file: The Parquet file.
+        columns: Arrays of shape (n,), all of `COLUMNS`.
+        facts: What the file says about itself, as JSON can hold it.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    fields = schema()
+    table = pa.table([pa.array(columns[f.name], type=f.type) for f in fields], schema=fields)
+    texts = metadata(facts)
+    told = {key: json.loads(text) for key, text in texts.items()}
+    texts[SHA256] = json.dumps(checksum(_arrays(table), told))
+    with whole(file) as part:
+        pq.write_table(
+            table.replace_schema_metadata(texts), part, compression="zstd", write_statistics=False
+        )
 
 
 def file_sha256(path: str | os.PathLike[str]) -> str:

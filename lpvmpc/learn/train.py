@@ -287,6 +287,8 @@ class _State:
             DataError: It is damaged, or belongs to another training.
         """
         arrays, left = safetensors.read(file)
+        if safetensors.SHA256 not in left:
+            raise DataError(f"The checkpoint {os.fspath(file)!r} is damaged: it has no checksum.")
         for key, value in facts.items():
             if left.get(key) != value:
                 raise DataError(
@@ -302,5 +304,5 @@ class _State:
                     mine.copy_(torch.from_numpy(arrays[name]))
             self.epoch, self.steps = (int(value) for value in arrays["progress"])
             self.curve = [tuple(row) for row in arrays["curve"]]
-        except (KeyError, ValueError) as error:
+        except (KeyError, TypeError, ValueError) as error:
             raise DataError(f"The checkpoint {os.fspath(file)!r} is damaged.") from error
