@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from lpvmpc.commands import benchmark
-from lpvmpc.leaderboard import grid, page, pictures, report, tables
+from lpvmpc.leaderboard import grid, own_process, page, pictures, report, tables
 from lpvmpc.leaderboard.grid import COURSES, Plan, is_slow, planned, rows_of, run_of
 from lpvmpc.leaderboard.profiles import profiles
 from lpvmpc.leaderboard.score import Board, effort, ranking, score
@@ -388,6 +388,58 @@ def test_pictures_can_be_drawn():
     board, _ = made_up({"lpv-mpc": 1.0, "stanley": lambda c: result(lost="hit" if c.seed % 2
                         else "")}, seeds=1, courses=("paper",))
     assert sorted(pictures.pictures(board)) == [f for f in FILES if f.endswith(".png")]
+
+
+BAD = """
+import os, time
+import numpy as np
+from lpvmpc import Command
+
+class Base:
+    def reset(self, rng): self.n = 0
+    def command(self, state, preview):
+        self.n += 1
+        return self.bad() if self.n == 5 else Command(0.0, 0.0)
+
+class Raises(Base):
+    def bad(self): raise ValueError("no")
+class Nan(Base):
+    def bad(self): return Command(float("nan"), 0.0)
+class Nothing(Base):
+    def bad(self): return None
+class Shape(Base):
+    def bad(self): return np.zeros(3)
+class Sleeps(Base):
+    def bad(self):
+        while True:
+            try: time.sleep(100)
+            except: pass
+class Exits(Base):
+    def bad(self): os._exit(0)
+class Loops(Base):  # compiled, and never back in Python
+    def bad(self): return sum(range(10**15))
+class Memory(Base):
+    def bad(self): self.x = np.ones(2 * 1024**3 // 8 + 1); return Command(0.0, 0.0)
+"""
+TOLD = {
+    "Raises": "raised in command", "Nan": "returned Command(delta=nan", "Nothing": "returned None",
+    "Shape": "returned array", "Sleeps": "hung", "Exits": "ended its process",
+    "Loops": "hung", "Memory": "MemoryError",
+}
+
+
+@pytest.mark.slow
+def test_whatever_a_users_class_does_is_its_result_and_the_next_run_is_driven(
+    short, user_module, monkeypatch
+):
+    monkeypatch.setattr(own_process, "SILENCE", 5.0)
+    user_module(BAD)
+    names = [f"mine:{name}" for name in TOLD]
+    runs = [Run(scenario=short, controller=name) for name in (*names, "stanley")]
+    *results, good = own_process.drive_all(runs, jobs=1)
+    for name, found in zip(TOLD, results, strict=True):
+        assert not found["completed"] and TOLD[name] in found["reason"], (name, found["reason"])
+    assert good["completed"]
 
 
 assert benchmark.NAME == COMMAND

@@ -63,7 +63,7 @@ def _numbered(function: Callable[[T], R], item: tuple[int, T]) -> tuple[int, R]:
 # Processes of this machine ------------------------------------------------------------------------
 
 
-class _Worker:
+class Worker:
     """A process of `kit.worker`, in a group of its own: no signal of a terminal reaches it."""
 
     START = "import sys; sys.path[:] = {path}; from lpvmpc.kit.worker import serve; serve({handle})"
@@ -102,6 +102,10 @@ class _Worker:
             raise LPVMPCError(died) from None
         return found
 
+    def fits(self) -> bool:
+        """Whether it lives, and was started where this process still is."""
+        return self.made_in == _surroundings() and self.process.poll() is None
+
     def end(self) -> None:
         """End it at once, with all that it has started: it has nothing to save."""
         with suppress(ProcessLookupError, PermissionError):
@@ -117,7 +121,7 @@ def _surroundings() -> tuple[object, ...]:
     return os.getcwd(), tuple(sys.path), tuple(sorted(os.environ.items()))
 
 
-_resting: list[_Worker] = []
+_resting: list[Worker] = []
 """Workers that wait for the next pool: they have imported and compiled what they need."""
 
 
@@ -133,11 +137,11 @@ class _Processes(Pool):
 
     def __init__(self, jobs: int, died: str) -> None:
         self.jobs, self.died = jobs, died
-        self.all: list[_Worker] = []
-        self.free: list[_Worker] = []
+        self.all: list[Worker] = []
+        self.free: list[Worker] = []
 
     def each(self, function: Callable[[T], R], things: Iterable[T]) -> Iterator[R]:
-        left, busy = iter(things), dict[Connection, _Worker]()
+        left, busy = iter(things), dict[Connection, Worker]()
         ready: list[Answer] = []
         try:
             while True:
@@ -161,17 +165,16 @@ class _Processes(Pool):
                 worker.end()
                 self.all.remove(worker)
 
-    def _more(self) -> _Worker:
+    def _more(self) -> Worker:
         """One that rests, or a new one."""
-        now = _surroundings()
         while _resting:
             worker = _resting.pop()
             self.all.append(worker)
-            if worker.made_in == now and worker.process.poll() is None:
+            if worker.fits():
                 return worker
             worker.end()
             self.all.remove(worker)
-        self.all.append(_Worker())
+        self.all.append(Worker())
         return self.all[-1]
 
     def rest(self) -> None:
