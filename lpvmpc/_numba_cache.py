@@ -9,12 +9,18 @@ folder carries a key of both: an edit of any compiled file, or another MuJoCo, s
 import hashlib
 import os
 import shutil
+import stat
 import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 
 KEEP = 6
 """Number of cache folders kept; the oldest are removed when a new one is made."""
+
+_UNIX = hasattr(os, "getuid")
 
 
 def cache_key(package: Path, mujoco_version: str) -> str:
@@ -28,16 +34,41 @@ def cache_key(package: Path, mujoco_version: str) -> str:
 
 
 def place_numba_cache() -> None:
-    """Point numba at the folder of our key, unless the user has chosen one (NUMBA_CACHE_DIR)."""
+    """Point numba at the folder of our key, unless the user has chosen one (NUMBA_CACHE_DIR).
+
+    Where the user's cache cannot be written, the folder lies among the temporary ones.
+    """
     if os.environ.get("NUMBA_CACHE_DIR"):
         return
-    root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lpvmpc"
-    folder = root / f"numba-{cache_key(Path(__file__).parent, _mujoco_version())}"
-    if not folder.exists():
-        _remove_old(root)
+    name = f"numba-{cache_key(Path(__file__).parent, _mujoco_version())}"
+    for root in _roots():
+        folder = root / name
+        try:
+            if not folder.exists():
+                root.mkdir(parents=True, exist_ok=True)
+                _remove_old(root)
+                folder.mkdir(exist_ok=True)
+        except OSError:
+            continue
+        if os.access(folder, os.W_OK | os.X_OK):
+            break
+    else:
+        return  # numba looks for itself, and says that there is none
     os.environ["NUMBA_CACHE_DIR"] = str(folder)  # worker processes inherit it
     if "numba" in sys.modules:  # it has read its environment already
         sys.modules["numba"].config.CACHE_DIR = str(folder)
+
+
+def _roots() -> Iterator[Path]:
+    """Folders for the cache, the first that can be written is taken."""
+    with suppress(RuntimeError):  # nobody's home
+        yield Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lpvmpc"
+    with suppress(OSError):  # not even a temporary folder
+        root = Path(tempfile.gettempdir()) / f"lpvmpc-{os.getuid() if _UNIX else ''}"
+        root.mkdir(mode=0o700, exist_ok=True)
+        status = root.lstat()  # in a folder of everybody's, others could place code to be run
+        if stat.S_ISDIR(status.st_mode) and (not _UNIX or status.st_uid == os.getuid()):
+            yield root
 
 
 def _mujoco_version() -> str:

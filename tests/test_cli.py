@@ -1,6 +1,7 @@
 import os
 import subprocess
 import sys
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -110,3 +111,57 @@ def test_an_opengl_that_is_not_there_is_ignored_aloud(monkeypatch, capsys):
     monkeypatch.setenv("MUJOCO_GL", "glfw")
     cli.check_opengl()
     assert os.environ["MUJOCO_GL"] == "glfw" and capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("backend", ["vulkan", "e g l", "x" * 3000, "\x1b[31m"])
+def test_a_wrong_opengl_is_ignored_with_one_sentence(monkeypatch, capsys, backend):
+    monkeypatch.setenv("MUJOCO_GL", backend)
+    cli.check_opengl()
+    assert "MUJOCO_GL" not in os.environ
+    err = capsys.readouterr().err
+    assert err.startswith("Warning: MUJOCO_GL is ") and err.endswith("; it is ignored.\n")
+    assert err.count("\n") == 1 and "\x1b" not in err and len(err) < 1500
+
+
+def test_a_message_is_one_line_that_no_terminal_obeys():
+    assert cli.one_line("a\n b\x1b[31m\x07 \udcff") == "a b\\x1b[31m\\x07 \\udcff"
+    assert len(cli.one_line("x" * 10**6)) < 1100 and cli.one_line("é[red]") == "é[red]"
+
+
+def test_warnings_of_the_package_are_sentences(capsys):
+    def main(options):
+        warnings.warn("the weights are old", stacklevel=2)
+        return 0
+
+    @dataclass(frozen=True, kw_only=True)
+    class Options:
+        """Nothing."""
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")
+        assert cli.run(Options, main, []) == 0
+    assert capsys.readouterr().err == "Warning: the weights are old\n"
+
+
+def test_no_place_for_compiled_code_is_one_sentence(tmp_path):
+    (tmp_path / "file").write_text("")
+    code = (
+        "import sys; from lpvmpc import _numba_cache; from lpvmpc.kit import cli\n"
+        "from dataclasses import dataclass\n"
+        "@dataclass(frozen=True)\nclass Options:\n    'Nothing.'\n"
+        "def main(options):\n    raise RuntimeError(\"cannot cache function 'f': no locator\")\n"
+        "sys.exit(cli.run(Options, main, []))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1
+    assert "NUMBA_CACHE_DIR" in done.stderr
+
+
+def test_an_unwritable_home_moves_the_cache_to_the_temporary_folder(tmp_path):
+    (tmp_path / "home").write_text("")
+    (tmp_path / "tmp").mkdir()
+    places = {"HOME": str(tmp_path / "home"), "TMPDIR": str(tmp_path / "tmp")}
+    kept = {k: v for k, v in os.environ.items() if k not in ("XDG_CACHE_HOME", "NUMBA_CACHE_DIR")}
+    code = "import os, lpvmpc; print(os.environ['NUMBA_CACHE_DIR'])"
+    out = subprocess.check_output([sys.executable, "-c", code], env={**kept, **places}, text=True)
+    assert out.startswith(str(tmp_path / "tmp" / "lpvmpc-")) and os.path.isdir(out.strip())

@@ -146,7 +146,7 @@ def show(runs: dict[str, Log]) -> None:
     console = Console(width=80 if not sys.stdout.isatty() else None, highlight=False)
     header, rows = comparison.summary(runs)
     first = next(iter(runs.values()))
-    table = Table(title=f"Controllers on {first.meta['scenario']}", title_style="bold",
+    table = Table(title=escape(f"Controllers on {first.meta['scenario']}"), title_style="bold",
                   title_justify="left")
     for n, name in enumerate(header):
         table.add_column(escape(name), justify="right" if n else "left", overflow="fold")
@@ -155,7 +155,7 @@ def show(runs: dict[str, Log]) -> None:
     console.print(table)
     for name, log in runs.items():
         if not log.meta["completed"]:
-            console.print(f"{name} did not complete: {log.meta['reason']}.", style="red")
+            console.print(escape(f"{name} did not complete: {log.meta['reason']}."), style="red")
     used = first.meta["versions"]
     console.print(f"Seed {first.meta['seed']}, MuJoCo {used['mujoco']}, ProxQP "
                   f"{used['proxsuite']}; {machine()}.", style="dim")

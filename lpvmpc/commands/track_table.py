@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 def print_table(result: dict[str, Any], log: Log) -> None:
     """The results, with the paper's beside them on the paper's scenario."""
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     console = Console(width=80 if not sys.stdout.isatty() else None, highlight=False)
@@ -23,7 +24,7 @@ def print_table(result: dict[str, Any], log: Log) -> None:
     title = f"{result['controller']} on {result['scenario']}"
     if result["estimate_ey_rmse_m"] is not None or result["world"]["drawn"]:
         title += f", world {result['world']['name']}, estimator {result['estimator']}"
-    table = Table(title=title, title_style="bold", title_justify="left", expand=False)
+    table = Table(title=escape(title), title_style="bold", title_justify="left", expand=False)
     table.add_column("quantity")
     table.add_column("this run", justify="right")
     if beside:
@@ -36,7 +37,7 @@ def print_table(result: dict[str, Any], log: Log) -> None:
     elif result["completed"]:
         console.print("Completed.", style="green")
     else:
-        console.print(f"Not completed: {result['reason']}.", style="red")
+        console.print(f"Not completed: {escape(result['reason'])}.", style="red")
     used = result["versions"]
     console.print(f"Seed {result['seed']}, MuJoCo {used['mujoco']}, ProxQP {used['proxsuite']}; "
                   f"{machine()}.", style="dim")

@@ -195,6 +195,7 @@ def print_result(
 ) -> None:
     """Weights, and what they bring in the runs that tuned them."""
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table as Rows
 
     from lpvmpc.tune.tuning_report import bounds_sentence, driven_rows
@@ -211,7 +212,7 @@ def print_result(
     for name in ("run", "weights", "lateral\nmm", "course\nrad", "speed\nm/s", ""):
         driven.add_column(name)
     for row in driven_rows(tuned.task, before, after):
-        driven.add_row(*row)
+        driven.add_row(*map(escape, row))
     console.print(driven)
 
 

@@ -6,9 +6,12 @@ import math
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Sequence
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from ctypes.util import find_library
 from pathlib import Path
+from typing import Any
 
 from lpvmpc.errors import LPVMPCError, OptionError, OutputError
 from lpvmpc.kit import locks
@@ -17,13 +20,23 @@ from lpvmpc.kit.signals import stops
 from lpvmpc.kit.streams import lasting
 
 __all__ = [
-    "Option", "check_choice", "check_number", "check_opengl", "cores", "parse", "results_folder",
-    "run", "writable_folder",
+    "Option", "check_choice", "check_number", "check_opengl", "cores", "one_line", "parse",
+    "results_folder", "run", "writable_folder",
 ]
 
 DONE, BAD_INPUT, NOT_COMPLETED, INTERRUPTED = 0, 2, 3, 130
 """Exit codes: done; bad input (one line on stderr); the run did not complete; Ctrl-C, SIGTERM or
 SIGHUP."""
+LONGEST = 1000
+"""Most characters of a message: a name on the command line may have any length."""
+NO_CACHE = "cannot cache function"
+"""How numba begins to say that none of the folders for compiled code can be written."""
+BACKENDS = {
+    "linux": ("egl", "glfw", "glx", "osmesa"), "win32": ("glfw", "wgl"), "darwin": ("cgl", "glfw"),
+}
+"""What MUJOCO_GL may be, by the system."""
+SWITCHES = ("disable", "disabled", "off", "false", "0", "enable", "enabled", "on", "true", "1")
+"""What else it may be."""
 
 
 def run(
@@ -42,11 +55,17 @@ def run(
         main: Does the work and returns an exit code.
         arguments: Command line (default: sys.argv).
     """
-    with stops(), lasting() as printed:
+    with stops(), lasting() as printed, _plain_warnings():
         try:
             code = main(parse(options, arguments))
         except LPVMPCError as error:
-            print("Error:", " ".join(str(error).split()), file=sys.stderr)
+            print("Error:", one_line(str(error)), file=sys.stderr)
+            code = BAD_INPUT
+        except RuntimeError as error:
+            if not str(error).startswith(NO_CACHE):
+                raise
+            print("Error: No folder for compiled code can be written; NUMBA_CACHE_DIR names one.",
+                  file=sys.stderr)
             code = BAD_INPUT
         except KeyboardInterrupt:
             print("Interrupted.", file=sys.stderr)
@@ -58,6 +77,30 @@ def run(
             print(f"Error: Cannot write to standard output: {printed.lost}.", file=sys.stderr)
             code = code or BAD_INPUT
     return code
+
+
+def one_line(text: str) -> str:
+    """A text on one line, of at most `LONGEST` characters, without what a terminal would obey."""
+    line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in " ".join(text.split()))
+    return line if len(line) <= LONGEST else f"{line[:LONGEST]} ..."
+
+
+@contextmanager
+def _plain_warnings() -> Iterator[None]:
+    """Show warnings of the package as a sentence, without file, line and source."""
+    before = warnings.showwarning
+
+    def show(message: Any, category: Any, *where: Any, **more: Any) -> None:
+        if category is UserWarning:
+            print("Warning:", one_line(str(message)), file=sys.stderr)
+        else:
+            before(message, category, *where, **more)
+
+    warnings.showwarning = show
+    try:
+        yield
+    finally:
+        warnings.showwarning = before
 
 
 def check_number(name: str, value: float | None, low: float, high: float, unit: str = "") -> None:
@@ -87,18 +130,23 @@ def cores() -> int:
 
 
 def check_opengl() -> None:
-    """Ignore a MUJOCO_GL whose library is not there, and say so, before MuJoCo is imported.
+    """Ignore a MUJOCO_GL that does not exist here, and say so, before MuJoCo is imported.
 
     The import would fail with an obscure error, even where nothing is drawn.
     """
     backend = os.environ.get("MUJOCO_GL", "").lower().strip()
+    if not backend:
+        return
     library = {"egl": "EGL", "osmesa": "OSMesa"}.get(backend)
     if library and find_library(library) is None:
-        print(
-            f"Warning: MUJOCO_GL is {backend}, but lib{library} is not installed; it is ignored.",
-            file=sys.stderr,
-        )
-        del os.environ["MUJOCO_GL"]
+        why = f"lib{library} is not installed"
+    elif backend in SWITCHES or backend in BACKENDS.get(sys.platform, BACKENDS["linux"]):
+        return
+    else:
+        known = ", ".join(BACKENDS.get(sys.platform, BACKENDS["linux"]))
+        why = f"must be one of {known}, off"
+    print(f"Warning: MUJOCO_GL is {one_line(backend)}, but {why}; it is ignored.", file=sys.stderr)
+    del os.environ["MUJOCO_GL"]
 
 
 def writable_folder(folder: Path) -> Path:
