@@ -222,7 +222,9 @@ class _Ray(Pool):
             try:
                 returned, value = ray.get(done)
             except ray.exceptions.RayError as error:
-                raise LPVMPCError(self.died) from error
+                cause = getattr(error, "cause", None)  # the work did not even begin there
+                why = self.died if cause is None else f"Work on Ray fails: {described(cause)}."
+                raise LPVMPCError(why) from error
             if not returned:
                 raise value
             yield value
