@@ -84,3 +84,17 @@ def test_the_drives_lag_is_found_in_an_acceleration_that_says_more(car, lag, lat
         found, _ = bank.update(a + 0.3 + 0.1 * rng.standard_normal(), latency)
     assert found == pytest.approx(tau, rel=0.15)
     assert bank.gain == pytest.approx(0.9, abs=0.03) and bank.latency == latency
+
+
+def test_what_something_else_decided_teaches_nothing(car):
+    banks = [ServoBank(drive_of(car), TS) for _ in range(2)]
+    for k in range(300):
+        for bank in banks:
+            bank.asked(-3.0 + np.sin(0.5 * k * TS))
+        banks[0].update(0.9 * banks[0]._outputs[0, 2])
+        # brakes that lock the wheels: the road decides, in every third second
+        locked = (k // 30) % 3 == 0
+        given = -1.0 if locked else 0.9 * banks[1]._outputs[0, 2]
+        banks[1].update(given, trust=float(not locked))
+    assert banks[0].gain == pytest.approx(0.9, abs=0.05)
+    assert banks[1].gain == pytest.approx(banks[0].gain, abs=0.05)

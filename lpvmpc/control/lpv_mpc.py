@@ -145,7 +145,9 @@ class LPVMPC(Tracker):
             h.car[TAU_DELTA], h.lateness[0] = steering.update(state.delta)
         a = estimate(h.handle, x, preview.kappa, bool(self.informed), state.ax)
         if self.banks and self.informed:
-            h.car[TAU_AX], _ = drive.update(h.driven[0], steering.latency)
+            # what a wheel that spins or locks gives says nothing of the drive
+            rolling = float(h.allowed[1] >= h.allowed[2] or x[A] > 0.0)
+            h.car[TAU_AX], _ = drive.update(h.driven[0], steering.latency, rolling)
         if self.informed and self._learn is not None:
             self._learn(h.unmodelled, h.acting, h.slips, a, state.ay)
 

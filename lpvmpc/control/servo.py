@@ -31,7 +31,7 @@ MEMORY = 15.0
 LAG_STD, LATENCY_STD = 0.5, 0.7
 """How far the logarithm of the lag's factor [-] and the latency [periods] are expected from what
 is known, standard deviations."""
-GAINS = (0.5, 1.5)
+GAINS = (0.7, 1.4)
 """Gains that are believed [-]; measurements that do not follow the commands say others."""
 INDEPENDENT = 0.2
 """Share of the errors that count as independent of each other: neighbours are not."""
@@ -40,7 +40,7 @@ N_SUMS = 5
 
 
 @njit(cache=True)
-def _advance(outputs, sums, shared, history, lags, share, measured, rate, keep, Ts):
+def _advance(outputs, sums, shared, history, lags, share, measured, trust, rate, keep, Ts):
     """Drive the bank over the period that has ended and compare it with what was measured.
 
     Args:
@@ -52,11 +52,12 @@ def _advance(outputs, sums, shared, history, lags, share, measured, rate, keep, 
         lags: Lags of the models [s], shape (lags,).
         share: What each lag answers within a period, 1 - exp(-Ts / lag), shape (lags,).
         measured: What the servo does now.
+        trust: Weight of that, 0 to 1.
         rate: Its largest rate of change, per second.
         keep: What a period leaves of the memory [-].
         Ts: Control period [s].
     """
-    shared[0] = keep * shared[0] + 1.0
+    shared[0] = keep * shared[0] + trust
     step = rate * Ts
     for d in range(outputs.shape[0]):
         command = history[len(history) - 1 - d]
@@ -65,11 +66,11 @@ def _advance(outputs, sums, shared, history, lags, share, measured, rate, keep, 
             model = outputs[d, n] + min(max(move, -step), step)
             outputs[d, n] = model
             s = sums[d, n]
-            s[0] = keep * s[0] + model
-            s[1] = keep * s[1] + measured
-            s[2] = keep * s[2] + model * model
-            s[3] = keep * s[3] + model * measured
-            s[4] = keep * s[4] + measured * measured
+            s[0] = keep * s[0] + trust * model
+            s[1] = keep * s[1] + trust * measured
+            s[2] = keep * s[2] + trust * model * model
+            s[3] = keep * s[3] + trust * model * measured
+            s[4] = keep * s[4] + trust * measured * measured
 
 
 @njit(cache=True)
@@ -133,10 +134,10 @@ def _judge(sums, weight, prior, resolution, log_lags, priors, latency, out):
 
 
 @njit(cache=True)
-def _learn(outputs, sums, shared, history, lags, share, measured, rate, keep, Ts,
+def _learn(outputs, sums, shared, history, lags, share, measured, trust, rate, keep, Ts,
            prior, resolution, log_lags, priors, latency, out):
     """`_advance` and `_judge` in one call, which costs its own."""
-    _advance(outputs, sums, shared, history, lags, share, measured, rate, keep, Ts)
+    _advance(outputs, sums, shared, history, lags, share, measured, trust, rate, keep, Ts)
     _judge(sums, shared[0], prior, resolution, log_lags, priors, latency, out)
 
 
@@ -215,19 +216,22 @@ class ServoBank:
         history[-1] = value
         return float(value)
 
-    def update(self, measured: float, latency: int = -1) -> tuple[float, float]:
+    def update(
+        self, measured: float, latency: int = -1, trust: float = 1.0
+    ) -> tuple[float, float]:
         """Learn from a period.
 
         Args:
             measured: What the servo does at its end [unit].
             latency: Where it is known from elsewhere: that beyond the known delay [periods].
+            trust: Weight of the measurement, 0 where something else than the servo decided.
 
         Returns:
             Lag of the servo [s], and latency beyond the known one [periods].
         """
         _learn(
             self._outputs, self._sums, self._shared, self._history[:LATENCIES], self._lags,
-            self._share, measured, self._rate, self._keep, self._Ts,
+            self._share, measured, trust, self._rate, self._keep, self._Ts,
             self._prior, self._resolution, self._log_lags, self._priors, latency, self._out,
         )
         return float(self._out[0]), float(self._out[1])
