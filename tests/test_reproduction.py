@@ -9,6 +9,7 @@ from fake_log import fake_log
 from lpvmpc.car import bicycle
 from lpvmpc.errors import ControllerError, DataError
 from lpvmpc.kit.findings import promises_sentence
+from lpvmpc.learn import driven
 from lpvmpc.paper import (
     figures,
     findings,
@@ -455,7 +456,7 @@ def test_without_the_source_tree_the_report_says_what_is_left_out(monkeypatch):
 
 def test_the_labels_of_a_log_are_force_over_slip_angle():
     log = fake_log(2.0)
-    alpha, C = measurements.labels(log)
+    alpha, C = driven.labels(log)
     c = log.columns
     rear = c["Fy_rl_N"] + c["Fy_rr_N"]
     large = np.abs(alpha[:, 1]) > 0.012  # where the label is the secant alone

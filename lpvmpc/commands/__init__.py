@@ -19,6 +19,7 @@ COMMANDS = {
     "collect": "collect tire data: random manoeuvres up to the grip limit",
     "train": "train a network of the tires on such data",
     "benchmark": "the leaderboard: all controllers over roads, worlds and seeds",
+    "stiffness": "say what networks tell of the tires along driven laps, by seed",
     "ablation": "compare stiffness models in closed loop: accuracy, robustness",
     "worlds": "drive in worlds that controllers are not told of: margins, samples",
     "fidelity": "run the fidelity studies of the simulated car",

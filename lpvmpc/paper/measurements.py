@@ -7,16 +7,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from lpvmpc.bench.cases import Measured
-from lpvmpc.car.tire import forces
-from lpvmpc.control.stiffness.network_file import SECANT_INPUTS, load_weights
-from lpvmpc.learn.dataset import secant_stiffness
+from lpvmpc.control.stiffness.network_file import load_weights
+from lpvmpc.learn import driven
 from lpvmpc.learn.scores import r2
 from lpvmpc.paper import records, runs, steering_at_rest
 from lpvmpc.paper.runs import Entry, Equipment, RoadCase
-from lpvmpc.plant.mjcf import compile_model, tires
 from lpvmpc.sim import batch
 from lpvmpc.tune import sphere
 from lpvmpc.units import Array
@@ -191,7 +187,7 @@ def gusts(
 def stiffness(equipment: Equipment, case: RoadCase) -> Stiffness:
     """The axles' secant stiffness along a run of ours, and what both networks say of it."""
     log = batch.drive(runs.run_of(case, runs.OURS, equipment.options(runs.OURS)))
-    alpha, true = labels(log)
+    alpha, true = driven.labels(log)
     return Stiffness(
         title=case.title,
         t=log.columns["t_s"],
@@ -201,53 +197,9 @@ def stiffness(equipment: Equipment, case: RoadCase) -> Stiffness:
     )
 
 
-def labels(log: Log) -> tuple[Array, Array]:
-    """Slip angle [rad] and secant stiffness [N/rad] of both axles, shape (n, 2), from a log.
-
-    As the labels of the data: an axle's slip angle is that of its wheels, weighted by their loads.
-    """
-    c, law = log.columns, tires(compile_model(visual=False))
-    alpha, Fy, slope = (np.zeros((len(c["t_s"]), 2)) for _ in range(3))
-    step = 1e-4  # rad; a central difference over it is exact to 1e-5 of the slope
-    for axle, wheels in enumerate((("fl", "fr"), ("rl", "rr"))):
-        load = sum(c[f"Fz_{wheel}_N"] for wheel in wheels)
-        for wheel in wheels:
-            Fz, ratio = c[f"Fz_{wheel}_N"], c[f"slip_ratio_{wheel}"]
-            alpha[:, axle] += c[f"slip_angle_{wheel}_rad"] * Fz / load
-            Fy[:, axle] += c[f"Fy_{wheel}_N"]
-            for k in range(len(Fz)):
-                side = [forces(law[axle], ratio[k], np.tan(angle), Fz[k], 1.0)[1]
-                        for angle in (step, -step)]
-                slope[k, axle] += (side[0] - side[1]) / (2.0 * step)
-    return alpha, secant_stiffness(alpha, Fy, slope)
-
-
 def said(kind: str, log: Log, equipment: Equipment) -> Array:
-    """Secant stiffness that a network gives along a log [N/rad], shape (n, 2).
-
-    Ours is given the drive force that the plant measured, and knows that the road is dry.
-    """
-    from lpvmpc.control.stiffness import network
-    from lpvmpc.control.stiffness.secant_network import SecantNetwork
-    from lpvmpc.plant.mjcf import packaged_car
-
-    car, c = packaged_car(), log.columns
-    weights = load_weights(kind, equipment.networks.get(kind))
-    if kind == "network-secant":
-        inputs = [c[name] for name in SECANT_INPUTS]
-        return SecantNetwork(car, weights).stiffness(np.column_stack(inputs))
-    alpha, _ = labels(log)
-    n = len(c["t_s"])
-    Fx = np.column_stack([c["Fx_fl_N"] + c["Fx_fr_N"], c["Fx_rl_N"] + c["Fx_rr_N"]])
-    rate = np.gradient(c["roll_rad"], log.meta["Ts"])
-    roll = car.K_phi * c["roll_rad"] + car.C_phi * rate
-    norms = np.repeat(network.normalisation(car)[None], n, axis=0)  # (n, 2, numbers)
-    Fy, slope, slope_zero = (np.empty((n, 2)) for _ in range(3))
-    net = network.NetworkTire(car, weights).net
-    network.forces_of(
-        alpha, Fx, c["ax_mps2"], roll, np.ones(n), norms, net, Fy, slope, slope_zero
-    )
-    return secant_stiffness(alpha, Fy, slope_zero)
+    """Secant stiffness that a network gives along a log on a dry road [N/rad], shape (n, 2)."""
+    return driven.said(log, load_weights(kind, equipment.networks.get(kind)))
 
 
 # All of it ----------------------------------------------------------------------------------------
