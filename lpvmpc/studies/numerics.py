@@ -325,10 +325,8 @@ def _energy_picture(books: energy.Ledger, limit: float) -> Figure:
 def _resolution(car: CarUnderTest, result: StudyResult) -> None:
     """What is left of the ideal world's errors at a finer step; a table without a limit."""
     rows = []
-    for title, name, options in (
-        ("paper", "paper", {}), ("circuit 65 %", "circuit", {"grip": 0.65}),
-    ):
-        scenario = load_scenario(name, **options)
+    for title, name, grip in (("paper", "paper", None), ("circuit 65 %", "circuit", 0.65)):
+        scenario = load_scenario(name, grip=grip)
         cells: list[float | str] = []
         for step in (0.001, 0.0005, 0.00025):
             controller = load_controller("lpv-mpc", car=car.params)
