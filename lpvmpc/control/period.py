@@ -68,6 +68,8 @@ def freeze(h, kappa, car):
                 if j != VX and j != A:
                     c_[VX] += A_[VX, j] * where[j]
                     A_[VX, j] = 0.0
+            c_[VX] += B_[VX, 0] * where[DELTA]  # of a steering without lag
+            B_[VX, 0] = 0.0
         for i in range(NX):
             for m in range(NU):
                 inputs[i, m] = B_[i, m]
