@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from lpvmpc.car.bicycle import CORRECTED, Bicycle, lpv
 from lpvmpc.car.bicycle import NU as FULL_NU
@@ -14,11 +15,12 @@ from lpvmpc.control.geometric import (
     PurePursuitWeights,
     Stanley,
     StanleyWeights,
+    led_back,
     pursuit_angle,
     stanley_angle,
 )
-from lpvmpc.control.lmpc import LMPC, LMPCWeights, lateral
-from lpvmpc.control.pid import PIDGains, SpeedPID
+from lpvmpc.control.lmpc import EULER_FROM, LMPC, LMPCWeights, _held, lateral
+from lpvmpc.control.pid import PIDGains, ProtectedPID, SpeedPID
 from lpvmpc.control.qp import QPResult
 from lpvmpc.control.weights_file import shipped_file
 from lpvmpc.errors import OptionError
@@ -156,6 +158,33 @@ def test_the_pid_does_not_wind_up(car):
     assert pid.command(10.0, 9.5) == pytest.approx(-1.0, abs=1e-12)
 
 
+def test_the_pid_sees_the_speed_at_which_its_command_arrives(car):
+    """Against a delay of 6 periods gains that want an answer within 50 ms swing up without it."""
+    gains, n = PIDGains(kp=20.0, ki=20.0, kd=0.0), 6
+    ends = []
+    for known in (n, 0):
+        pid, vx, queue = ProtectedPID(car, gains, TS, known), 15.0, [0.4] * n
+        track = []
+        for k in range(300):
+            still = State(0, 0, 0, vx, 0, 0, 0, 0, 0, np.full(4, vx / car.R_w))
+            queue.append(pid.command(still, np.full(n + 1, 15.0 if k < 100 else 15.5)))
+            vx += TS * (queue.pop(0) - 0.4)  # against a constant resistance
+            track.append(vx)
+        ends.append(np.abs(np.array(track[200:]) - 15.5).max())
+    assert ends[0] < 0.02 < 0.5 < ends[1]
+
+
+def test_the_pid_is_held_where_wheels_spin_or_lock(car):
+    pid = ProtectedPID(car, PIDGains(kp=20.0), TS, 0)
+    for spin, vx_ref in ((1.5, 30.0), (0.5, 0.0)):
+        pid.reset()
+        free = State(0, 0, 0, 10.0, 0, 0, 0, 0, 0, np.full(4, 10.0 / car.R_w))
+        asked = pid.command(free, np.full(1, vx_ref))
+        slipping = free._replace(wheel_speed=np.full(4, spin * 10.0 / car.R_w))
+        held = pid.command(slipping, np.full(1, vx_ref))
+        assert abs(held) < 0.5 * abs(asked) and held * asked > 0.0
+
+
 def test_the_pid_leaves_no_speed_error_against_a_constant_resistance(car):
     pid, vx = SpeedPID(car, PIDGains(), TS), 15.0
     for _ in range(400):
@@ -185,7 +214,7 @@ def test_pure_pursuit_on_a_circle_gives_the_geometric_angle(car):
 
 def test_pure_pursuit_looks_further_when_faster(car):
     controller = made("pure-pursuit", car)
-    angles = [command(controller, vx=vx, ey=0.3).delta for vx in (2.0, 8.0, 15.0, 25.0)]
+    angles = [command(controller, vx=vx, ey=0.14).delta for vx in (2.0, 8.0, 15.0, 25.0)]
     # up to 10 m/s the smallest lookahead holds; beyond it the same error is answered more gently
     assert angles[0] == pytest.approx(angles[1], rel=0.02)
     assert angles[1] < 1.5 * angles[2] < 2.0 * angles[3] < 0.0
@@ -193,11 +222,11 @@ def test_pure_pursuit_looks_further_when_faster(car):
 
 def test_the_stanley_law_is_its_closed_form(car):
     w = StanleyWeights(k_e=4.0, softening=1.5, yaw_damping=0.1, slip_share=0.8)
-    angle = stanley_angle(0.03, 0.2, 10.0, 0.05, 0.02, w)
-    assert angle == pytest.approx(0.8 * 0.02 - 0.03 - math.atan(0.8 / 11.5) - 0.005, rel=1e-12)
+    angle = stanley_angle(0.03, 0.1, 10.0, 0.05, 0.02, w)
+    assert angle == pytest.approx(0.8 * 0.02 - 0.03 - math.atan(0.4 / 11.5) - 0.005, rel=1e-12)
     # and the controller asks it at the front axle, 1.2 m ahead of the centre of mass
-    delta, _ = command(made("stanley", car, weights=w), ey=0.2, epsi=0.03, vx=10.0, r=0.05)
-    front = 0.2 + car.lf * math.sin(0.03)
+    delta, _ = command(made("stanley", car, weights=w), ey=0.1, epsi=0.03, vx=10.0, r=0.05)
+    front = 0.1 + car.lf * math.sin(0.03)
     assert delta == pytest.approx(stanley_angle(0.03, front, 10.0, 0.05, 0.0, w), rel=1e-9)
 
 
@@ -219,6 +248,35 @@ def test_stanley_finds_the_front_axle_on_a_reference_that_barely_moves(car):
     still = preview._replace(x=np.full(61, preview.x[0]), y=np.full(61, preview.y[0]))
     controller = made("stanley", car)
     assert controller.command(state, still).delta == controller.command(state, preview).delta
+
+
+def test_a_car_far_beside_is_led_back_with_its_time_constant():
+    for error in (0.0, 0.1, -0.15):
+        assert led_back(error, 10.0) == (0.0, 0.0)
+    vx, ey, track = 10.0, -1.15, []
+    for _ in range(150):  # it moves as it is told to
+        aside, towards = led_back(ey, vx)
+        assert aside == pytest.approx(ey + 0.15)
+        ey += 0.01 * vx * math.tan(towards)
+        track.append(ey)
+    assert track[-1] == pytest.approx(-0.15 - math.exp(-1.5 / 1.5), abs=4e-3)
+
+
+@pytest.mark.parametrize("name", ["stanley", "pure-pursuit"])
+def test_geometry_is_asked_where_the_car_will_be(car, name):
+    """On a circle of 60 m, steadily, the law sees after 5 periods what it sees now."""
+    R, vx = 60.0, 12.0
+    L = car.wheelbase
+    steady = (L + car.m / L * (car.lr / car.Cf - car.lf / car.Cr) * vx * vx) / R
+    vy = vx / R * (car.lr - car.m * car.lf / (L * car.Cr) * vx * vx)
+    where = {"kappa": 1 / R, "vx": vx, "vy": vy, "r": vx / R, "delta": steady, "steps": 80,
+             "epsi": -math.atan2(vy, vx)}
+    now, late = (command(made(name, car, delay=delay), **where).delta for delay in (0, 5))
+    assert late == pytest.approx(now, abs=2e-3)
+    # and an error of heading becomes one beside the path until then
+    where = {"vx": vx, "epsi": 0.02, "steps": 80}
+    now, late = (command(made(name, car, delay=delay), **where).delta for delay in (0, 5))
+    assert late < now - 1e-3 < 0.0
 
 
 # LMPC -------------------------------------------------------------------------------------------
@@ -276,13 +334,41 @@ def test_without_active_bounds_lmpc_is_a_least_squares_problem(car, delay):
 
 
 def test_the_steering_rate_of_lmpc_is_that_of_the_servo(car):
-    controller = made("lmpc-pso-pid", car)
+    controller = made("lmpc-pso-pid", car, protect=False)
     controller.reset(RNG)
     commands = [0.0] + [controller.command(*seen(epsi=0.4)).delta for _ in range(25)]
     steps = np.diff(commands)
     assert steps.min() == pytest.approx(-car.delta_rate_max * TS, abs=1e-7)  # below pi/12
     assert commands[-1] == pytest.approx(-np.pi / 6.0, abs=1e-7)
     assert controller.diagnostics.solved
+
+
+def test_lmpc_steers_the_front_tires_to_their_cap_and_no_further(car):
+    controller = made("lmpc-pso-pid", car, weights=LMPCWeights(slip_cap=0.12))
+    controller.reset(RNG)
+    for _ in range(25):
+        delta, _ = controller.command(*seen(epsi=0.4))
+    assert delta == pytest.approx(-0.12, abs=1e-7)  # the car does not turn: its flow is 0
+    # while it turns right the same slip is further to the right
+    controller.command(*seen(epsi=0.4, r=-0.5))
+    assert controller.horizon.u_lo[0, 0] == pytest.approx(-0.12 - car.delta_rate_max * TS)
+    assert controller.horizon.u_lo[9, 0] < -0.12
+
+
+@pytest.mark.parametrize("vx", [1.5, 4.9])
+def test_a_slow_lmpc_predicts_with_the_exact_hold(car, vx):
+    h = made("lmpc-pso-pid", car).horizon
+    _held(h.handle, vx)
+    A, B = np.empty((4, 4)), np.empty((4, 1))
+    lateral(vx, h.car, A, B)
+    M = np.zeros((6, 6))
+    M[:4, :4], M[:4, 4], M[3, 5] = A, B[:, 0], 1.0
+    np.testing.assert_allclose(_held(h.handle, vx), expm(M * TS), atol=1e-9)
+    fast = _held(h.handle, 2.0 * EULER_FROM)
+    lateral(2.0 * EULER_FROM, h.car, A, B)
+    np.testing.assert_array_equal(fast[:4, :4], np.eye(4) + A * TS)
+    lateral(EULER_FROM, h.car, A, B)  # where it takes over Euler's rule is stable
+    assert np.abs(np.linalg.eigvals(np.eye(2) + A[:2, :2] * TS)).max() < 1.0
 
 
 def test_a_refused_solve_follows_the_plan_and_then_drives_on(car):

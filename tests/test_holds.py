@@ -12,6 +12,9 @@ from lpvmpc.sim.loop import simulate
 from lpvmpc.sim.metrics import metrics
 from lpvmpc.sim.names import load_controller, load_scenario
 
+RETURN = ("lpv-mpc", "lpv-mpc-protected", "lmpc-pso-pid", "stanley", "pure-pursuit")
+"""Who comes back to the line; the paper's plain forms do not."""
+
 
 def straight(folder, speeds):
     """A straight road of 5 m between points, one per speed [m/s]."""
@@ -44,12 +47,43 @@ def test_speed_errors_never_steer(tmp_path, speeds):
 
 @pytest.mark.parametrize(("vx", "aside", "length"), [(30.0, 1.0, 450), (10.0, 0.3, 150),
                                                      (5.0, -1.0, 100)])  # fmt: skip
-def test_a_car_beside_its_line_comes_back_without_overshoot(tmp_path, vx, aside, length):
+@pytest.mark.parametrize("controller", RETURN)
+def test_a_car_beside_its_line_comes_back_without_overshoot(
+    tmp_path, controller, vx, aside, length
+):
     scenario = straight(tmp_path, [vx] * (length // 5))
-    log, result = drive(scenario, start_offset=(aside, 0.0))
+    log, result = drive(scenario, controller=controller, start_offset=(aside, 0.0))
     ey = log.columns["ey_m"] * np.sign(aside)
     assert result["completed"] and ey.min() > -0.3 * abs(aside)
     assert abs(ey[-1]) < 0.02
+
+
+@pytest.mark.filterwarnings("ignore:.*asks for")
+@pytest.mark.parametrize("controller", RETURN[1:])
+@pytest.mark.parametrize("speeds", [[25.0] * 30 + [1.2] * 8, [0.0] + [10.0] * 20 + [0.0]])
+def test_baselines_brake_to_a_walk_start_and_stop(tmp_path, controller, speeds):
+    _, result = drive(straight(tmp_path, speeds), controller=controller)
+    assert result["completed"] and result["lateral_max_m"] < 1e-3
+    assert result["qp"] is None or result["qp"]["fallback"] == 0
+
+
+def test_a_car_that_walks_is_led_back_too(tmp_path):
+    """At 2 m/s Euler's rule is unstable: it lost the car from 1 m."""
+    log, result = drive(straight(tmp_path, [2.0] * 12), controller="lmpc-pso-pid",
+                        start_offset=(1.0, 0.0))
+    assert result["completed"] and result["qp"]["fallback"] == 0
+    assert log.columns["ey_m"].min() > -0.01 and abs(log.columns["ey_m"][-1]) < 0.02
+
+
+@pytest.mark.parametrize("controller", RETURN[1:])
+def test_a_known_delay_costs_the_baselines_little(controller):
+    """Six periods, 0.2 s: without compensation each of them leaves this road."""
+    scenario = load_scenario("slalom")
+    _, prompt = drive(scenario, controller=controller)
+    _, late = drive(scenario, controller=controller, delay=6, options={"delay": 6})
+    assert late["completed"]
+    assert late["lateral_max_m"] < 2.0 * prompt["lateral_max_m"] + 0.05
+    assert late["speed_rmse_mps"] < 2.0 * prompt["speed_rmse_mps"] + 0.1
 
 
 @pytest.mark.parametrize(

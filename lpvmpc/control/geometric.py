@@ -1,7 +1,8 @@
 """Path tracking by geometry: pure pursuit and the Stanley law, each with a PID for the speed.
 
-Neither predicts anything: a known delay of the commands is not compensated, and side wind is met
-with a lateral offset. Both are here so that a reader can place the other results.
+Side wind is met with a lateral offset. A known delay of the commands is met by asking the law where
+the car will be when they arrive, and a car far beside its path is led back to it, as by `lpv-mpc`.
+Both are here so that a reader can place the other results.
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ from typing import ClassVar, Generic, TypeVar
 import numpy as np
 
 from lpvmpc.car.params import VehicleParams
-from lpvmpc.control.pid import PIDGains, SpeedPID
+from lpvmpc.control.period import BACK, NEAR
+from lpvmpc.control.pid import PIDGains, ProtectedPID
 from lpvmpc.control.tracker import checked_delay
 from lpvmpc.control.weights_file import chosen
 from lpvmpc.errors import OptionError
@@ -36,34 +38,62 @@ class Geometric(Generic[WeightsT]):
     weights: WeightsT
 
     def __init__(self, car: VehicleParams, weights: WeightsT, delay: int) -> None:
-        """Args: the car, weights, delay (not compensated) [periods]."""
-        checked_delay(delay)
+        """Args: the car, weights, known delay [periods]."""
+        self.delay = checked_delay(delay)
+        """Known delay between command and effect [periods]."""
+        self.preview_steps = PREVIEW_STEPS + delay
         self.car = car
         self.weights = weights
-        self.pid = SpeedPID(self.car, weights, self.Ts)
-        self._last = Command(0.0, 0.0)
+        self.pid = ProtectedPID(car, weights, self.Ts, delay)
+        # the steady single track: r = vx delta / (L + K vx^2), vy = r (lr - m lf vx^2 / (L Cr))
+        L = car.wheelbase
+        self._understeer = car.m / L * (car.lr / car.Cf - car.lf / car.Cr)
+        self._drift = car.m * car.lf / (L * car.Cr)
+        self._lag = -math.expm1(-self.Ts / car.tau_delta)
+        self.reset(np.random.default_rng(0))
 
     def reset(self, rng: np.random.Generator) -> None:
         """Forget the run so far. The controller is deterministic: `rng` is not used."""
         self.pid.reset()
         self._last = Command(0.0, 0.0)
+        self._sent: list[float] | None = None
 
     def command(self, state: State, preview: Preview) -> Command:
         """Command of one control period.
 
         Args:
             state: The car's state now; the last command is held while it is not finite.
-            preview: Reference along the road ahead, `preview_steps` periods.
+            preview: Reference along the road ahead, at least `preview_steps` periods.
 
         Returns:
             Steering angle [rad] and acceleration [m/s2], within the bounds of the car.
         """
-        delta = self.steer(state, preview)
+        seen = self._ahead(state) if self.delay else state
+        delta = self.steer(seen, preview)
         if math.isfinite(delta + state.vx):  # the PID would remember what is no number
             limit = self.car.delta_max
-            ax = self.pid.command(state.vx, preview.vx_ref[0])
+            ax = self.pid.command(state, preview.vx_ref)
             self._last = Command(min(max(delta, -limit), limit), float(ax))
+        if self._sent is not None:
+            self._sent = [*self._sent[1:], self._last.delta]
         return self._last
+
+    def _ahead(self, state: State) -> State:
+        """Where the steady single track is when this period's command arrives."""
+        if self._sent is None:  # until now the steering was held
+            self._sent = [state.delta] * self.delay
+        x, y, psi, vx = state.x, state.y, state.psi, state.vx
+        vy, r, angle = 0.0, 0.0, state.delta
+        steady = vx / (self.car.wheelbase + self._understeer * vx * vx)
+        for delta in self._sent:
+            angle += self._lag * (delta - angle)
+            r = steady * angle
+            vy = r * (self.car.lr - self._drift * vx * vx)
+            middle = psi + 0.5 * self.Ts * r
+            x += self.Ts * (vx * math.cos(middle) - vy * math.sin(middle))
+            y += self.Ts * (vx * math.sin(middle) + vy * math.cos(middle))
+            psi += self.Ts * r
+        return state._replace(x=x, y=y, psi=psi, vy=vy, r=r, delta=angle)
 
     def steer(self, state: State, preview: Preview) -> float:
         """Steering angle before the bounds [rad]."""
@@ -80,6 +110,7 @@ class PurePursuitWeights(PIDGains):
     RANGES: ClassVar[dict[str, tuple[float, float]]] = {
         "lookahead_time": (0.05, 1.5),
         "lookahead_min": (0.5, 15.0),
+        "understeer_share": (0.05, 3.0),
         **PIDGains.RANGES,
     }
     """Where tuning searches: from lookaheads too short to be stable to some that cut bends."""
@@ -88,6 +119,8 @@ class PurePursuitWeights(PIDGains):
     """Lookahead distance per speed [s]."""
     lookahead_min: float = 3.0
     """Smallest lookahead distance [m]."""
+    understeer_share: float = 0.0
+    """Share of the steady understeer that is steered in addition [-]; 0 for none, as published."""
 
     def __post_init__(self) -> None:
         """Refuse what is no weight."""
@@ -136,7 +169,7 @@ class PurePursuit(Geometric[PurePursuitWeights]):
         Args:
             car: Vehicle parameters; the packaged car by default.
             weights: Lookahead and gains, or some of them by name; the shipped by default.
-            delay: Accepted like every controller's, and not compensated.
+            delay: Known delay between command and effect [periods], compensated by prediction.
 
         Raises:
             OptionError: A value outside its domain.
@@ -150,12 +183,21 @@ class PurePursuit(Geometric[PurePursuitWeights]):
         distance = np.hypot(dx, dy)
         ld = max(self.weights.lookahead_min, self.weights.lookahead_time * state.vx)
         beyond = distance >= ld
+        if self.delay:  # what lies behind the car that is looked from
+            beyond[: int(np.argmin(distance))] = False
         k = int(np.argmax(beyond)) if beyond.any() else len(distance) - 1
         x, y = dx[k], dy[k]
         if k > 0 and distance[k] > ld:  # between two points, straight: the sagitta is below 1 mm
             share = (ld - distance[k - 1]) / (distance[k] - distance[k - 1])
             x, y = dx[k - 1] + share * (x - dx[k - 1]), dy[k - 1] + share * (y - dy[k - 1])
-        return pursuit_angle(cos * x + sin * y, cos * y - sin * x, self.car.wheelbase)
+        aside, _ = led_back(path_at(preview, state.x, state.y)[0], state.vx)
+        if aside:
+            aside *= math.exp(-ld / (BACK * max(state.vx, self.car.vx_min)))
+            x, y = x - aside * math.sin(preview.psi[k]), y + aside * math.cos(preview.psi[k])
+        L = self.car.wheelbase
+        angle = pursuit_angle(cos * x + sin * y, cos * y - sin * x, L)
+        understeer = self.weights.understeer_share * self._understeer * state.vx * state.vx
+        return angle + understeer * math.tan(angle) / L
 
 
 # Stanley ----------------------------------------------------------------------------------------
@@ -227,7 +269,7 @@ class Stanley(Geometric[StanleyWeights]):
         Args:
             car: Vehicle parameters; the packaged car by default.
             weights: Gains, or some of them by name; the shipped by default.
-            delay: Accepted like every controller's, and not compensated.
+            delay: Known delay between command and effect [periods], compensated by prediction.
 
         Raises:
             OptionError: A value outside its domain.
@@ -244,7 +286,25 @@ class Stanley(Geometric[StanleyWeights]):
         r_path = kappa * state.vx
         heading = math.remainder(state.psi - psi, math.tau)
         slip = self._slip_per_ay * r_path * state.vx
-        return stanley_angle(heading, error, state.vx, state.r - r_path, slip, self.weights)
+        aside, towards = led_back(error, state.vx)
+        return stanley_angle(
+            heading - towards, error - aside, state.vx, state.r - r_path, slip, self.weights
+        )
+
+
+def led_back(error: float, vx: float) -> tuple[float, float]:
+    """How a car that is further than `NEAR` beside its path is led back, not pulled.
+
+    Args:
+        error: Its offset to the left [m].
+        vx: Its speed [m/s].
+
+    Returns:
+        Offset [m] and heading against the path [rad] that it is to have: they bring it to `NEAR`
+        with the time constant `BACK`; 0, 0 for a car that is near.
+    """
+    aside = math.copysign(max(abs(error) - NEAR, 0.0), error)
+    return aside, -math.atan(aside / BACK / max(vx, 1.0))
 
 
 def path_at(preview: Preview, x: float, y: float) -> tuple[float, float, float]:

@@ -5,6 +5,11 @@ that depend on the measured speed alone. It is discretised by Euler's rule, as t
 for both controllers; the errors' reference is zero; there is no observer. The PID does not know
 what the steering does, and the steering takes the speed as it comes: that is the decoupling which
 the paper argues against. Gains come from particle-swarm optimisation, hence the name.
+
+`lmpc-pso-pid` has the protections of `lpv-mpc`, none of which changes the method: a car far beside
+its path is led back to it, the front tires are not steered past their peak, wheels neither spin nor
+lock, the PID knows the delay of its commands, and a factor on the nominal stiffness is tuned. The
+paper's plain form, which loses the car from 0.3 m beside a straight road, is `lmpc-pso-pid-plain`.
 """
 
 from __future__ import annotations
@@ -16,11 +21,13 @@ from typing import ClassVar
 import numpy as np
 from numba import njit
 
+from lpvmpc.car.hold import EULER, EXACT
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.control.cost import SLACK_WEIGHTS, increment_weights, stage_weights
 from lpvmpc.control.formulation import DELTA_MAX_PAPER, DELTA_STEP_PAPER, EY_MAX, SCALE
 from lpvmpc.control.horizon import Horizon
-from lpvmpc.control.pid import PIDGains, SpeedPID
+from lpvmpc.control.period import BACK, NEAR
+from lpvmpc.control.pid import PIDGains, ProtectedPID, SpeedPID
 from lpvmpc.control.qp import condense
 from lpvmpc.control.stiffness.models import ConstantStiffness
 from lpvmpc.control.tracker import Tracker, checked_delay
@@ -32,6 +39,8 @@ from lpvmpc.units import Array
 NX = 4
 """Number of model states: vy, r, ey, epsi."""
 VY, R, EY, EPSI = range(NX)
+EULER_FROM = 6.0
+"""Speed from which on Euler's rule is used [m/s]: it is stable above 5.3 for this package's car."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +56,8 @@ class LMPCWeights(PIDGains):
         "q_ey": (5.0, 800.0),
         "q_epsi": (5.0, 8000.0),
         "r_delta": (0.02, 5.0),
+        "stiffness": (0.3, 1.5),
+        "slip_cap": (0.1, 0.2),
         **PIDGains.RANGES,
     }
     """Where tuning searches: wide enough that no optimum lies on a bound."""
@@ -61,12 +72,18 @@ class LMPCWeights(PIDGains):
     """Weight of the heading error."""
     r_delta: float = 0.18
     """Weight of the steering rate."""
+    stiffness: float = 1.0
+    """Factor on the nominal cornering stiffness; the plain form has none."""
+    slip_cap: float = 0.14
+    """Largest front slip angle that a command may ask for [rad]; the plain form has none."""
 
     def __post_init__(self) -> None:
         """Refuse what no cost can mean."""
         super().__post_init__()
         if self.r_delta <= 0.0:
             raise OptionError("weight r_delta", self.r_delta, "a number above 0")
+        if self.slip_cap < 0.01:
+            raise OptionError("weight slip_cap", self.slip_cap, "at least 0.01 rad")
 
 
 @njit(cache=True)
@@ -102,40 +119,98 @@ def lateral(vx, car, A, B):
 
 
 @njit(cache=True)
-def _begin(h, vx, kappa):
-    """Predict from schedule[0] over the delay, in place; `queue` holds the commands until then.
+def _held(h, vx):
+    """One period of the model: x+ = (Ad, Bd, Ed) (x, delta, -vx kappa), shape (6, 6).
 
-    Euler's rule, x+ = (I + A Ts) x + B Ts delta - (0, 0, 0, vx Ts) kappa.
+    Euler's rule, Ad = I + A Ts, as the paper has it. With the protections the exact hold, the
+    exponential of the augmented matrix, below `EULER_FROM`, where Euler's is unstable.
     """
-    A, B, x_next = np.empty((NX, NX)), np.empty((NX, 1)), np.empty(NX)
+    A, B, size = np.empty((NX, NX)), np.empty((NX, 1)), NX + 2
     lateral(vx, h.car, A, B)
-    v, Ts, x = max(vx, h.car[6]), h.Ts, h.schedule[0, 1:]
+    M = np.zeros((size, size))
+    for i in range(NX):
+        for j in range(NX):
+            M[i, j] = A[i, j] * h.Ts
+        M[i, NX] = B[i, 0] * h.Ts
+    M[EPSI, NX + 1] = h.Ts
+    step = np.eye(size)
+    if h.method == EULER or vx >= EULER_FROM:
+        return step + M
+    doublings = 0
+    while np.abs(M).sum() > 0.5:
+        M *= 0.5
+        doublings += 1
+    for n in range(8, 0, -1):  # Horner's scheme of the exponential's series
+        step = np.eye(size) + _product(M, step) / n
+    for _ in range(doublings):
+        step = _product(step, step)
+    return step
+
+
+@njit(cache=True)
+def _product(left, right):
+    """The product of two small matrices, with BLAS left out."""
+    out = np.zeros(left.shape)
+    for i in range(len(left)):
+        for k in range(len(left)):
+            for j in range(len(left)):
+                out[i, j] += left[i, k] * right[k, j]
+    return out
+
+
+@njit(cache=True)
+def _begin(h, vx, kappa):
+    """Predict from schedule[0] over the delay, in place; `queue` holds the commands until then."""
+    x_next, v, x = np.empty(NX), max(vx, h.car[6]), h.schedule[0, 1:]
+    step = _held(h, vx)
     for k in range(len(h.queue) - 1):
         for i in range(NX):
-            rate = B[i, 0] * h.queue[k + 1, 0]
+            x_next[i] = step[i, NX] * h.queue[k + 1, 0] - step[i, NX + 1] * v * kappa[k]
             for j in range(NX):
-                rate += A[i, j] * x[j]
-            x_next[i] = x[i] + Ts * rate
-        x_next[EPSI] -= Ts * v * kappa[k]
+                x_next[i] += step[i, j] * x[j]
         x[:] = x_next
 
 
 @njit(cache=True)
 def _write(h, vx, kappa):
     """Write the QP of one period, in place, discretised as above."""
-    A, B = np.empty((NX, NX)), np.empty((NX, 1))
-    lateral(vx, h.car, A, B)
-    v, Ts, delay = max(vx, h.car[6]), h.Ts, len(h.queue) - 1
+    v, delay = max(vx, h.car[6]), len(h.queue) - 1
+    step = _held(h, vx)
     for k in range(len(h.Ad)):
         for i in range(NX):
             for j in range(NX):
-                h.Ad[k, i, j] = A[i, j] * Ts
-            h.Ad[k, i, i] += 1.0
-            h.Bd[k, i, 0] = B[i, 0] * Ts
-            h.cd[k, i] = 0.0
-        h.cd[k, EPSI] = -Ts * v * kappa[delay + k]
+                h.Ad[k, i, j] = step[i, j]
+            h.Bd[k, i, 0] = step[i, NX]
+            h.cd[k, i] = -step[i, NX + 1] * v * kappa[delay + k]
         h.u_lo[k, 0], h.u_hi[k, 0] = -h.delta_max, h.delta_max
+    if h.approach:
+        _protect(h, v)
     condense(h)
+
+
+@njit(cache=True)
+def _protect(h, vx):
+    """Lead the car back to its path, and bound the front slip angle, in place.
+
+    As `period.references` and `period.bounds` do for `lpv-mpc`; the flow at the front axle is that
+    of the schedule, and what the increment bounds can reach is always allowed.
+    """
+    x_ref, schedule, u_lo, u_hi = h.x_ref, h.schedule, h.u_lo, h.u_hi
+    lf, step, u_prev = h.car[2], h.du_max[0], h.queue[-1, 0]
+    aside = schedule[0, 1 + EY]
+    excess = max(abs(aside) - NEAR, 0.0)
+    h.soft_bound[0] = EY_MAX + excess
+    for k in range(len(u_lo)):
+        ey = np.sign(aside) * excess * np.exp(-(k + 1) * h.Ts / BACK)
+        x_ref[k, EY] = ey
+        x_ref[k, EPSI] = -np.arctan(ey / BACK / vx)
+        flow = np.arctan2(schedule[k, 1 + VY] + lf * schedule[k, 1 + R], vx)
+        least = (u_lo[k - 1, 0] if k > 0 else u_prev) - step
+        most = (u_hi[k - 1, 0] if k > 0 else u_prev) + step
+        low = max(-h.delta_max, min(flow - h.slip_cap, h.delta_max))
+        high = min(h.delta_max, max(flow + h.slip_cap, -h.delta_max))
+        u_lo[k, 0] = min(max(low, least), most)
+        u_hi[k, 0] = max(min(high, most), least)
 
 
 class LMPC(Tracker):
@@ -159,6 +234,7 @@ class LMPC(Tracker):
         *,
         weights: LMPCWeights | Mapping[str, float] | None = None,
         delay: int = 0,
+        protect: bool = True,
     ) -> None:
         """Build the controller.
 
@@ -166,16 +242,19 @@ class LMPC(Tracker):
             car: Vehicle parameters.
             weights: Cost weights and PID gains, or some of them by name; the shipped by default.
             delay: Known delay between command and effect [periods]; the steering is compensated
-                by prediction, the PID is not.
+                by prediction, and unless plain the PID's as well.
+            protect: Whether with the protections, or in the paper's plain form.
 
         Raises:
             OptionError: A value outside its domain.
         """
         delay = checked_delay(delay)
+        if not protect:
+            self.name = f"{LMPC.name}-plain"
         self.weights = w = chosen(self.name, weights, LMPCWeights())
-        self.stiffness = ConstantStiffness(car)
-        self.pid = SpeedPID(car, w, self.Ts)
+        self.stiffness = ConstantStiffness(car, w.stiffness if protect else 1.0)
         N, Ts = self.Np, self.Ts
+        self.pid = ProtectedPID(car, w, Ts, delay) if protect else SpeedPID(car, w, Ts)
         Cf, _, Cr, _ = self.stiffness.tires
         horizon = Horizon.allocated(
             N,
@@ -192,6 +271,9 @@ class LMPC(Tracker):
             du_max=np.array([min(DELTA_STEP_PAPER, car.delta_rate_max * Ts)]),
             soft=EY,
             soft_bound=EY_MAX,
+            method=EXACT if protect else EULER,
+            approach=protect,
+            slip_cap=w.slip_cap if protect else np.pi,
             scale=SCALE[:1],
         )
         # Bounded by |ey| alone, ProxQP stops at wrong multipliers now and then where its residuals
@@ -217,7 +299,10 @@ class LMPC(Tracker):
         """The QP decides on the steering, the PID on the acceleration."""
         h = self.horizon
         _write(h.handle, state.vx, preview.kappa)
-        h.plan[:, 1] = self.pid.command(state.vx, preview.vx_ref[0])
+        if isinstance(self.pid, ProtectedPID):
+            h.plan[:, 1] = self.pid.command(state, preview.vx_ref)
+        else:
+            h.plan[:, 1] = self.pid.command(state.vx, preview.vx_ref[0])
 
     def accept(self, z: Array) -> None:
         """As every tracker, but BLAS sums the prediction: traces keep its last bits."""

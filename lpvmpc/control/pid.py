@@ -1,12 +1,17 @@
-"""A discrete PID controller of the speed, beside a lateral controller that leaves it alone."""
+"""The speed beside a lateral controller: a discrete PID, and what protects the wheels from it."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
+
 from lpvmpc.car.params import VehicleParams
+from lpvmpc.control import traction
 from lpvmpc.control.weights_file import check_weights
+from lpvmpc.interface import State
 
 DERIVATIVE_LAG = 0.05
 """Time constant of the derivative's filter [s], that of drive and brake."""
@@ -61,12 +66,16 @@ class SpeedPID:
         self._integral = self._slope = 0.0
         self._error: float | None = None
 
-    def command(self, vx: float, vx_ref: float) -> float:
+    def command(
+        self, vx: float, vx_ref: float, least: float = -math.inf, most: float = math.inf
+    ) -> float:
         """Acceleration of one control period.
 
         Args:
             vx: Measured speed [m/s].
             vx_ref: Reference speed now [m/s].
+            least: Narrower bounds than the car's [m/s2], of what protects its wheels.
+            most: As above.
 
         Returns:
             Acceleration before resistances [m/s2], within the bounds of brakes and drive.
@@ -78,7 +87,69 @@ class SpeedPID:
             self._slope += Ts / (DERIVATIVE_LAG + Ts) * (rate - self._slope)
         self._error = error
         wanted = g.kp * error + self._integral + g.kd * self._slope
-        ax = min(max(wanted, self.car.ax_min), self.car.ax_max(vx))
+        ax = min(max(wanted, self.car.ax_min, least), self.car.ax_max(vx), most)
         if ax == wanted or error * (wanted - ax) < 0.0:
             self._integral += g.ki * Ts * error
         return ax
+
+
+class ProtectedPID:
+    """A `SpeedPID` that knows the delay of its commands, and that wheels spin and lock.
+
+    Against a known delay of n periods the PID is given the speed and the reference of n periods
+    ahead:
+
+        vx + Ts (sum of the n accelerations on their way) + n Ts b,
+
+    with b the acceleration that the commands do not explain (resistances, grades), an average over
+    `UNEXPLAINED`. The wheels are protected as those of `lpv-mpc` are (traction.py).
+
+    Source: Smith, Closer control of loops with dead time, Chemical Engineering Progress 53 (1957).
+    """
+
+    def __init__(self, car: VehicleParams, gains: PIDGains, Ts: float, delay: int) -> None:
+        """Args: the car, the PID's gains, control period [s], known delay [periods]."""
+        self.car, self.Ts, self.delay = car, Ts, delay
+        self.pid = SpeedPID(car, gains, Ts)
+        self._wheels = car.R_w, 0.5 * car.track_f, car.vx_min
+        self._lag = -math.expm1(-Ts / car.tau_ax)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the run so far."""
+        self.pid.reset()
+        self._sent = [0.0] * (self.delay + 1)  # the one in force first
+        self._driven = self._bias = 0.0
+        self._last: float | None = None
+        self._most = self._least = self._holds = math.inf
+
+    def command(self, state: State, vx_ref: np.ndarray) -> float:
+        """Acceleration of one control period [m/s2].
+
+        Args:
+            state: The car's state now, finite.
+            vx_ref: Reference speed from now on, at least `delay` + 1 points [m/s].
+        """
+        car, Ts, vx = self.car, self.Ts, state.vx
+        before = self._driven
+        self._driven += self._lag * (self._sent[0] - self._driven)
+        if self._last is not None:
+            surprise = (vx - self._last) / Ts - 0.5 * (before + self._driven)
+            self._bias += Ts / UNEXPLAINED * (surprise - self._bias)
+        self._last = vx
+        common = state.wheel_speed, vx, state.r, 1.0, *self._wheels, Ts
+        self._most = traction.hold(
+            self._most, car.F_drive_max / car.m_eff, self._driven, *common
+        )
+        self._least, self._holds = traction.hold_brakes(
+            self._least, self._holds, -car.ax_min, self._driven, *common
+        )
+        on_their_way = sum(self._sent[1:])
+        ahead = vx + Ts * (on_their_way + self.delay * self._bias)
+        ax = self.pid.command(ahead, float(vx_ref[self.delay]), -self._least, self._most)
+        self._sent = [*self._sent[1:], ax]
+        return ax
+
+
+UNEXPLAINED = 0.5
+"""Time over which the unexplained acceleration is averaged [s]."""

@@ -98,6 +98,8 @@ class Equipment:
         """
         weights = dict(self.by_hand[name]) if by_hand else self.weights(name)
         options: dict[str, Any] = {"weights": {**weights, **changes}}
+        if name == LMPC:  # the paper's baseline has no protections
+            options["protect"] = False
         stiffness = stiffness or ("network" if name == OURS else None)
         if stiffness is not None:
             options["stiffness"] = stiffness

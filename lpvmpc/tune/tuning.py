@@ -48,7 +48,11 @@ MAX_RUNS = 10_000
 """Most runs of a weight set, which keeps the seeds below those of reports."""
 PID_GAINS = ("kp", "ki", "kd")
 """Weights that the particle swarm finds."""
-WITHOUT_EFFECT = {"lpv-mpc-paper": ("terminal", "observer_gain", "slip_cap")}
+WITHOUT_EFFECT = {
+    "lpv-mpc-paper": ("terminal", "observer_gain", "slip_cap"),
+    "lpv-mpc-protected": ("terminal", "observer_gain"),
+    "lmpc-pso-pid-plain": ("stiffness", "slip_cap"),
+}
 """Weights of parts that a controller does not have."""
 NEAR = 0.02
 """Share of its range within which a weight counts as on its bound."""

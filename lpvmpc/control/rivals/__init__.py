@@ -37,5 +37,7 @@ RIVALS: dict[str, Rival] = {
     "nmpc-textbook": Rival(
         module="nmpc", maker="TextbookNMPC", packages=("casadi",), extra="nmpc", slow=True
     ),
+    "lpv-mpc-protected": Rival(module="forms", maker="lpv_mpc_protected"),
+    "lmpc-pso-pid-plain": Rival(module="forms", maker="lmpc_plain"),
 }
 """Rivals by name; `registry.CONTROLLERS` has them too."""
