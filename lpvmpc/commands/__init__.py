@@ -21,8 +21,9 @@ COMMANDS = {
     "benchmark": "the leaderboard: all controllers over roads, worlds and seeds",
     "stiffness": "say what networks tell of the tires along driven laps, by seed",
     "ablation": "compare stiffness models in closed loop: accuracy, robustness",
-    "worlds": "drive in worlds that controllers are not told of: margins, samples",
+    "worlds": "drive in worlds that controllers are not told of: margins, draws",
     "fidelity": "run the fidelity studies of the simulated car",
+    "reliability": "try wrong inputs, damaged files, roads nobody tuned for",
     "reproduce": "put the paper's numbers and figures beside ours",
     "speed": "measure how fast the package is on this machine",
 }

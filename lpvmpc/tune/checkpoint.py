@@ -9,17 +9,23 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from lpvmpc.errors import DataError
+from lpvmpc.kit.files import read_json, write_json
 from lpvmpc.units import Array
 
 FORMAT = 1
 """Version of a saved state; one of another version is refused."""
+FILE_FORMAT = 1
+"""Version of a file of them."""
 
 
 @dataclass(frozen=True)
@@ -164,6 +170,8 @@ class SearchState:
         try:
             if value["sha256"] != _digest(body):
                 raise ValueError("its checksum is another")
+            if type(body["evaluations"]) is not int or not isinstance(body["method"], str):
+                raise TypeError("its values are of other types")
             state = cls(
                 method=body["method"],
                 settings=dict(body["settings"]),
@@ -215,3 +223,60 @@ def _digest(body: object) -> str:
     """SHA-256 of a JSON value, however it was laid out in its file."""
     text = json.dumps(body, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+# Files -------------------------------------------------------------------------------------------
+
+
+def write(file: Path, task: Mapping[str, Any], states: Sequence[SearchState]) -> None:
+    """Write the states of a tuning's stages, whole or not at all.
+
+    Args:
+        file: Where to.
+        task: What decides the tuning, as JSON can hold it.
+        states: A state per stage that was begun.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    saved = [state.to_json() for state in states]
+    write_json(file, {"format": FILE_FORMAT, "task": dict(task), "stages": saved})
+
+
+def read(file: Path, task: Mapping[str, Any]) -> list[SearchState]:
+    """The states of the stages of a tuning, to go on from.
+
+    Args:
+        file: What `write` wrote.
+        task: What decides the tuning now.
+
+    Raises:
+        DataError: It is missing, damaged, or of another task or version.
+    """
+    name = repr(os.fspath(file))
+    try:
+        value = read_json(file)
+    except OSError as error:
+        why = error.strerror or str(error)
+        raise DataError(f"There is no tuning to resume in {name}: {why}.") from error
+    except ValueError as error:
+        raise DataError(f"The checkpoint {name} is damaged: {error}.") from error
+    if not (isinstance(value, dict) and {"format", "task", "stages"} <= value.keys()
+            and isinstance(value["task"], dict) and isinstance(value["stages"], list)):
+        raise DataError(f"{name} is no checkpoint of a tuning.")
+    if value["format"] != FILE_FORMAT:
+        raise DataError(f"The checkpoint {name} has format {value['format']!r}; this version reads "
+                        f"{FILE_FORMAT}.")
+    then = value["task"]
+    differs = [key for key in task if then.get(key) != task[key]]
+    if differs == ["foundation"]:
+        raise DataError(f"The checkpoint {name} was made with another version of the package; "
+                        "without --resume the tuning begins anew.")
+    if differs:
+        shown = "; ".join(f"{k} {then.get(k)}, not {task[k]}" for k in differs
+                          if k != "foundation")
+        raise DataError(f"The checkpoint {name} was made with {shown}.")
+    try:
+        return [SearchState.from_json(state) for state in value["stages"]]
+    except DataError as error:
+        raise DataError(f"The checkpoint {name} is damaged: {error}") from error

@@ -10,7 +10,6 @@ since they act by ratios. The weights set by hand are among the first population
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections.abc import Callable, Mapping
@@ -23,11 +22,11 @@ import numpy as np
 from lpvmpc.control.registry import CONTROLLERS
 from lpvmpc.control.rivals import RIVALS
 from lpvmpc.control.weights_file import apply, as_dict
-from lpvmpc.errors import DataError, LPVMPCError, OptionError, UnknownNameError
-from lpvmpc.kit.files import write_json
+from lpvmpc.errors import LPVMPCError, OptionError, UnknownNameError
 from lpvmpc.sim import batch
 from lpvmpc.sim.names import load_controller
 from lpvmpc.sim.world import load_world
+from lpvmpc.tune import checkpoint as checkpoints
 from lpvmpc.tune import driving, genetic, pso
 from lpvmpc.tune.checkpoint import Result, SearchState
 from lpvmpc.tune.search import Map
@@ -56,8 +55,6 @@ WITHOUT_EFFECT = {
 """Weights of parts that a controller does not have."""
 NEAR = 0.02
 """Share of its range within which a weight counts as on its bound."""
-FORMAT = 1
-"""Version of a checkpoint."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -292,12 +289,11 @@ def tune(
     """
     by_hand = as_dict(_by_hand(task.controller))
     file = None if checkpoint is None else Path(checkpoint)
-    states = _read(file, task) if resume and file is not None else []
+    states = checkpoints.read(file, task.record()) if resume and file is not None else []
 
     def save() -> None:
         if file is not None:
-            saved = [one.to_json() for one in states]
-            write_json(file, {"format": FORMAT, "task": task.record(), "stages": saved})
+            checkpoints.write(file, task.record(), states)
 
     if not states:
         save()  # a tuning that is interrupted before its first generation can be resumed, too
@@ -333,37 +329,3 @@ def tune(
 
 def _search(stage: SearchStage) -> Callable[..., Result]:
     return genetic.minimise if stage.method == "genetic" else pso.minimise
-
-
-def _read(file: Path, task: Task) -> list[SearchState]:
-    """The states of the stages in a checkpoint.
-
-    Raises:
-        DataError: It is missing, damaged, or of another task or version.
-    """
-    name = repr(os.fspath(file))
-    try:
-        value = json.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        why = error.strerror or str(error)
-        raise DataError(f"There is no tuning to resume in {name}: {why}.") from error
-    except ValueError as error:
-        raise DataError(f"The checkpoint {name} is damaged: {error}.") from error
-    if not (isinstance(value, dict) and {"format", "task", "stages"} <= value.keys()):
-        raise DataError(f"{name} is no checkpoint of a tuning.")
-    if value["format"] != FORMAT:
-        raise DataError(f"The checkpoint {name} has format {value['format']!r}; this version reads "
-                        f"{FORMAT}.")
-    now = task.record()
-    differs = [key for key in now if value["task"].get(key) != now[key]]
-    if differs == ["foundation"]:
-        raise DataError(f"The checkpoint {name} was made with another version of the package; "
-                        "without --resume the tuning begins anew.")
-    if differs:
-        shown = "; ".join(f"{k} {value['task'].get(k)}, not {now[k]}" for k in differs
-                          if k != "foundation")
-        raise DataError(f"The checkpoint {name} was made with {shown}.")
-    try:
-        return [SearchState.from_json(state) for state in value["stages"]]
-    except DataError as error:
-        raise DataError(f"The checkpoint {name} is damaged: {error}") from error

@@ -1,0 +1,143 @@
+"""Try what goes wrong: wrong inputs, damaged files, roads that nobody has tuned for.
+
+    lpvmpc reliability --jobs 2
+
+Driven runs are kept one by one, so that --resume goes on where an interrupted one stopped. Exit
+codes: 0 tried, promises met or not; 2 bad input; 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lpvmpc import commands
+from lpvmpc.commands.batches import driver, prepare, wrapped
+from lpvmpc.kit import cli
+from lpvmpc.kit.findings import promises_sentence
+from lpvmpc.kit.progress import Bar
+from lpvmpc.kit.report import write_report
+
+if TYPE_CHECKING:
+    from lpvmpc.reliability.inputs import Answer
+    from lpvmpc.reliability.report import Section
+
+NAME = "reliability"
+QUICK_OUT = Path("runs/reliability-quick")
+PARTS = ("inputs", "files", "loops")
+"""What may be tried, in the order of the report."""
+QUICK_RUNS, QUICK_DAMAGES = 20, 150
+DAMAGES = 2000
+"""How often a file of each kind is damaged."""
+SEED = 0
+"""Seed of the damages; the runs' seeds are their numbers."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Try wrong inputs, damaged files and random roads, and report what happened."""
+
+    quick: bool = False
+    """A look instead of the report: fewer of each, into runs/reliability-quick (unless --out)."""
+    resume: bool = False
+    """Use the runs that an earlier one has kept, where nothing they depend on changed."""
+    jobs: int = 0
+    """Number of processes (0: one per core)."""
+    parts: tuple[str, ...] = ()
+    """What to try: inputs, files, loops (default: all)."""
+    runs: int | None = None
+    """Random runs (default: 1000, with --quick 20)."""
+    out: Path | None = None
+    """Folder for reliability.md, .csv and .json (default: docs/results)."""
+    cache: Path = Path("runs/reliability")
+    """Folder where runs are kept, emptied unless --resume is given."""
+    json: Path | None = None
+    """Write the values to this file as well."""
+
+
+def main(options: Options) -> int:
+    """Try, print, save; returns the exit code."""
+    cli.check_number("--jobs", options.jobs, 0, 1024)
+    cli.check_number("--runs", options.runs, 1, 1_000_000)
+    for part in options.parts:
+        cli.check_choice("--parts", part, PARTS)
+    cli.check_opengl()
+    parts = [part for part in PARTS if part in options.parts or not options.parts]
+    whole = parts == list(PARTS) and not options.quick
+    out = cli.writable_folder(options.out or (Path("docs/results") if whole else QUICK_OUT))
+    if options.json is not None:
+        cli.writable_folder(options.json.parent)
+    # first, since every command that is tried in this process frees the folders it claims
+    answers = asked() if "inputs" in parts else []
+    cli.results_folder(out, NAME)
+    prepare(options.cache, options.resume, NAME)
+    jobs = options.jobs or cli.cores()
+    runs = options.runs or (QUICK_RUNS if options.quick else 1000)
+    try:
+        sections = [tried(part, options, answers, runs, jobs) for part in parts]
+    except KeyboardInterrupt:
+        print("Interrupted; --resume goes on from here.", file=sys.stderr)
+        return cli.INTERRUPTED
+    from lpvmpc.reliability import report
+
+    files = write_report(
+        out,
+        NAME,
+        text=report.report(sections, quick=options.quick, jobs=jobs),
+        table=report.as_csv(sections),
+        values=report.as_json(sections, quick=options.quick, jobs=jobs),
+        copy=options.json,
+    )
+    print(summary(sections))
+    print(f"Saved {out}/ ({', '.join(file.name for file in files)})")
+    return cli.DONE
+
+
+def options_of_all() -> dict[str, type]:
+    """The options of every command but this one, which would try itself."""
+    names = [name for name in commands.COMMANDS if name != NAME]
+    return {name: import_module(f"lpvmpc.commands.{name.replace('-', '_')}").Options
+            for name in names}
+
+
+def asked() -> list[Answer]:
+    """What all commands answer to wrong inputs."""
+    from lpvmpc.reliability import inputs
+
+    before = sys.argv
+    try:
+        with tempfile.TemporaryDirectory() as folder, inputs.set_up(Path(folder)):
+            return [inputs.ask(wrong, commands.main)
+                    for wrong in inputs.wrong_inputs(options_of_all())]
+    finally:
+        sys.argv = before
+
+
+def tried(part: str, options: Options, answers: list[Answer], runs: int, jobs: int) -> Section:
+    """The section of a part."""
+    from lpvmpc.reliability import damage, loops, report
+
+    if part == "inputs":
+        return report.inputs_section(answers)
+    if part == "files":
+        count = QUICK_DAMAGES if options.quick else DAMAGES
+        found = [damage.fuzz(subject, count, SEED) for subject in damage.subjects()]
+        return report.files_section(found, count, SEED)
+    planned = [loops.random_run(number) for number in range(runs)]
+    with Bar(counted=True, unit="runs") as bar:
+        results = driver(jobs, options.cache, bar)("random roads")(planned)
+    return report.loops_section(loops.summed(planned, results))
+
+
+def summary(sections: list[Section]) -> str:
+    """What is printed: sentences at 80 columns."""
+    found = [finding for section in sections for finding in section.findings]
+    lines = [wrapped(promises_sentence(found))]
+    for section in sections:
+        counted = f"{section.title}: {sum(int(str(row[1])) for row in section.rows)} tried"
+        lines.append(wrapped(f"{counted}, {len(section.faults) or 'none'} to be told one by one."))
+    return "\n".join(lines)

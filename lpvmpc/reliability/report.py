@@ -1,0 +1,197 @@
+"""The report of what happens when things go wrong: a section for each kind of trial."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from lpvmpc.kit.findings import Finding, Limit, promises_sentence, promises_table
+from lpvmpc.kit.markdown import markdown_table
+from lpvmpc.kit.provenance import machine
+from lpvmpc.kit.report import at_a_time, csv_text, finite, record, versions_line
+from lpvmpc.reliability.damage import FAULTS, WAYS, Damaged
+from lpvmpc.reliability.inputs import Answer
+from lpvmpc.reliability.loops import BESIDE, CONTROLLER, GRIP, LATENCY, Driven
+
+
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """What one kind of trial has given."""
+
+    key: str
+    """Its name in files and options."""
+    title: str
+    """Its heading."""
+    about: str
+    """What was tried, what counts as right, how many and from which seed."""
+    header: tuple[str, ...]
+    """Columns of its table."""
+    rows: tuple[tuple[object, ...], ...]
+    """Rows of its table."""
+    findings: tuple[Finding, ...]
+    """Its promises."""
+    faults: tuple[str, ...] = ()
+    """Every single fault, and every run that did not complete, with its cause."""
+
+
+def _none(key: str, figure: str, count: int, why: str) -> Finding:
+    """A promise that there is none of something."""
+    return Finding(key=key, figure=figure, value=float(count), limit=Limit.at_most(0), why=why)
+
+
+def inputs_section(answers: Sequence[Answer]) -> Section:
+    """Wrong command lines and files."""
+    tried, bad = Counter[str](), Counter[str]()
+    slowest: dict[str, float] = {}
+    for answer in answers:
+        first = answer.wrong.words[0]
+        name = first if first in _LIKELY or first.startswith("read ") else "no command"
+        tried[name] += 1
+        bad[name] += bool(answer.fault)
+        slowest[name] = max(slowest.get(name, 0.0), answer.seconds)
+    faults = [a for a in answers if a.fault]
+    return Section(
+        key="inputs",
+        title="Wrong inputs",
+        about=(
+            f"{len(answers)} wrong command lines and files, a fixed list "
+            "(lpvmpc/reliability/inputs.py): words that are no numbers, values outside their "
+            "domain, options that exclude each other, files that are empty, damaged, of another "
+            "kind, nested deeply, longer than memory, pipes, devices and folders. Each must be "
+            "refused in one printable sentence with exit code 2, at once. No seed."
+        ),
+        header=("given to", "tried", "refused", "faults", "slowest [s of CPU]"),
+        rows=tuple((name, n, n - bad[name], bad[name], f"{slowest[name]:.1f}")
+                   for name, n in sorted(tried.items())),
+        findings=(
+            Finding(key="inputs_tried", figure="wrong inputs tried", value=float(len(answers)),
+                    limit=Limit.at_least(400), why="the list that issue 13 asks for"),
+            _none("inputs_faults", "wrong inputs not refused in one sentence", len(faults),
+                  "a user needs to know what is wrong, and nothing else"),
+        ),
+        faults=tuple(f"{' '.join(a.wrong.words)[:80]}: {a.fault}" for a in faults),
+    )
+
+
+_LIKELY = ("track", "compare", "tune", "collect", "train", "benchmark", "ablation", "worlds",
+           "fidelity", "reproduce", "speed", "replay", "adopt", "solvers", "identify")
+
+
+def files_section(found: Sequence[Damaged], count: int, seed: int) -> Section:
+    """Damaged files."""
+    kinds = ("refused", "told", "harmless", *FAULTS)
+    wrong = {kind: sum(one.outcomes[kind] for one in found) for kind in FAULTS}
+    return Section(
+        key="files",
+        title="Damaged files",
+        about=(
+            f"Each kind of file that the package writes and reads again, damaged {count} times "
+            f"from seed {seed} ({', '.join(WAYS)}: lpvmpc/reliability/damage.py) and read. "
+            "Refused: a sentence, or a kept result that is driven again. Told: read, with a "
+            "warning that it has no checksum. Harmless: the same content was read. Silent: other "
+            "content was taken for good. Raised: an exception that is no sentence."
+        ),
+        header=("file", "damaged", *kinds),
+        rows=tuple((one.name, sum(one.outcomes.values()), *(one.outcomes[k] for k in kinds))
+                   for one in found),
+        findings=(
+            _none("files_silent", "damaged files taken for whole ones", wrong["silent"],
+                  "a result from damaged data is no result"),
+            _none("files_raised", "damaged files that ended in a traceback", wrong["raised"],
+                  "a user needs to know what is wrong, and nothing else"),
+        ),
+        faults=tuple(f"{one.name}, damage {text}" for one in found for text in one.examples),
+    )
+
+
+def loops_section(driven: Driven) -> Section:
+    """Random closed loops."""
+    worlds = [(name, n, done, n - done) for name, (done, n) in driven.by_world.items()]
+    return Section(
+        key="loops",
+        title="Random roads",
+        about=(
+            f"{driven.runs} runs of `{CONTROLLER}`, run i (also its seed) on road `random-i` with "
+            "at least one hairpin of 9.5 to 14 m, in all worlds in turn, planned for "
+            f"{100 * GRIP[0]:.0f} to {100 * GRIP[1]:.0f} % of the grip that road and tires have, "
+            f"with an untold latency of 0 to {LATENCY} ms in place of the world's, started up to "
+            f"{BESIDE:g} m beside the line (lpvmpc/reliability/loops.py). "
+            "`lpvmpc track --scenario random-i` drives such a road alone. Of the completed ones "
+            f"{driven.left_road} left the road for a while; lateral RMSE, the start beside the "
+            f"line included: median {driven.rmse_mm[0]:.0f} mm, 95th percentile "
+            f"{driven.rmse_mm[1]:.0f} mm; {driven.fallbacks} control instants of all used the "
+            f"fallback; the slowest step took {driven.slowest_step_us / 1000.0:.1f} ms of CPU, the "
+            f"longest run {driven.longest_wall_s:.0f} s."
+        ),
+        header=("world", "runs", "completed", "not completed"),
+        rows=tuple(worlds),
+        findings=(
+            _none("loops_exceptions", "random runs that raised", driven.exceptions,
+                  "a run ends with a verdict"),
+            _none("loops_nan", "random runs with a result that is no number", driven.not_finite,
+                  "a result is a number"),
+            _none("loops_late", "random runs with a step above 33 ms of CPU", driven.late,
+                  "the control period"),
+        ),
+        faults=tuple(
+            f"{run.scenario} in {run.world}, grip {run.scenario_options['grip']:g}, latency "
+            f"{1000 * (run.latency or 0.0):.0f} ms, started at {run.start_offset[0]:g} m: {why}"
+            for run, why in driven.lost
+        ),
+    )
+
+
+def report(sections: Sequence[Section], *, quick: bool, jobs: int) -> str:
+    """The whole report as Markdown."""
+    found = [finding for section in sections for finding in section.findings]
+    lines = [
+        "# What happens when things go wrong", "",
+        f"Written by `lpvmpc reliability{' --quick' if quick else ''}` on {machine()}, "
+        f"{at_a_time(jobs)}. {versions_line()}", "",
+        promises_sentence(found), "",
+        promises_table("Promises", found, "{:.0f}".format),
+    ]
+    for section in sections:
+        lines += [f"## {section.title}", "", section.about, "",
+                  markdown_table(section.title, section.header, section.rows)]
+        if section.faults:
+            lines += ["One by one:", "", *(f"- {_code(text)}" for text in section.faults), ""]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _code(text: str) -> str:
+    """Text that Markdown leaves alone."""
+    return f"`{text.replace('`', chr(39))}`"
+
+
+def as_csv(sections: Sequence[Section]) -> str:
+    """Every number of the tables."""
+    rows = [
+        (section.key, row[0], name, cell)
+        for section in sections
+        for row in section.rows
+        for name, cell in zip(section.header[1:], row[1:], strict=True)
+    ]
+    return csv_text(("trial", "of", "what", "value"), rows)
+
+
+def as_json(sections: Sequence[Section], *, quick: bool, jobs: int) -> dict[str, Any]:
+    """The same with the promises and every fault, for JSON."""
+    return {
+        "sections": [
+            {
+                "key": s.key,
+                "about": s.about,
+                "rows": [dict(zip(s.header, row, strict=True)) for row in s.rows],
+                "findings": [
+                    {"key": f.key, "figure": f.figure, "value": finite(f.value),
+                     "limit": f.limit.text if f.limit else None, "ok": f.ok} for f in s.findings
+                ],
+                "faults": list(s.faults),
+            }
+            for s in sections
+        ],
+        "record": record(quick=quick, jobs=jobs),
+    }

@@ -1,0 +1,95 @@
+import json
+
+import numpy as np
+import pytest
+
+from lpvmpc.commands.reliability import Options, main
+from lpvmpc.kit import cli
+from lpvmpc.reliability import damage, loops, report
+from lpvmpc.reliability.damage import Subject
+
+
+@pytest.mark.parametrize("subject", damage.subjects(), ids=lambda s: s.name)
+def test_no_damaged_file_is_taken_for_a_whole_one(subject):
+    found = damage.fuzz(subject, 150)
+    assert sum(found.outcomes.values()) == 150 and found.examples == ()
+    assert found.outcomes["refused"] > 100, found.outcomes
+
+
+def test_a_reader_that_checks_nothing_would_be_found():
+    careless = Subject(
+        name="x", write=lambda file: file.write_text("1.5 2.5 3.5 4.5"),
+        read=lambda file: [float(word) for word in file.read_bytes().decode("latin-1").split()],
+    )
+    found = damage.fuzz(careless, 150)
+    assert found.outcomes["silent"] > 10 and found.outcomes["raised"] > 10
+    assert len(found.examples) == found.outcomes["silent"] + found.outcomes["raised"]
+
+
+def test_damage_never_leaves_the_same_bytes():
+    raw = bytes(60) + b"abc"
+    for i in range(300):
+        assert damage.damaged(raw, np.random.default_rng(i)) != raw
+
+
+def test_a_random_run_is_the_same_for_its_number():
+    runs = [loops.random_run(i) for i in range(25)]
+    assert runs[7] == loops.random_run(7) and len({run.world for run in runs}) == 5
+    for run in runs:
+        grip = run.scenario_options["grip"] / loops.held(run.world, run.seed)
+        assert 0.399 < grip < 0.801 and 0.0 <= run.latency <= 0.04
+        assert abs(run.start_offset[0]) <= 1.0
+
+
+def test_the_plan_knows_the_friction_that_the_world_draws():
+    assert loops.held("ideal", 3) == 1.0
+    shares = [loops.held("fleet", seed) for seed in range(40)]
+    assert 0.7 < min(shares) < 0.85 and max(shares) <= 1.0
+
+
+def result(**more):
+    whole = {
+        "completed": True, "reason": "", "s_end_m": 100.0, "step_time_us": {"max": 900.0},
+        "lateral_rmse_m": 0.01, "wall_s": 1.0, "qp": {"solved": 9, "fallback": 1},
+        "left_road_s": 0.0, "lateral_acc_max_mps2": 4.0,
+    }
+    return whole | more
+
+
+def test_every_kind_of_failure_is_counted_and_named():
+    runs = [loops.random_run(i) for i in range(5)]
+    lost = {"completed": False, "reason": "spun: |epsi| > pi/2"}
+    raised = dict.fromkeys(result(), None) | {"completed": False, "reason": "ValueError"}
+    driven = loops.summed(runs, [
+        result(), result(lateral_rmse_m=float("nan")), result(step_time_us={"max": 34_000.0}),
+        result(**lost), raised,
+    ])
+    assert (driven.completed, driven.exceptions, driven.not_finite, driven.late) == (3, 1, 1, 1)
+    section = report.loops_section(driven)
+    assert [f.ok for f in section.findings] == [False, False, False]
+    assert len(section.faults) == 2 and "spun" in section.faults[0]
+    assert "raised: ValueError" in section.faults[1] and "random-4" in section.faults[1]
+    text = report.report([section], quick=True, jobs=1)
+    assert "0 of 3 are met" in text and "random-3 in fleet" in text
+
+
+def test_the_command_writes_its_report(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    words = ["--quick", "--parts", "files", "--out", "out", "--json", "all.json"]
+    assert cli.run(Options, main, words) == 0
+    assert "All 2 promises that were measured are met" in capsys.readouterr().out
+    text = (tmp_path / "out" / "reliability.md").read_text()
+    assert "## Damaged files" in text and "checkpoint of a tuning" in text
+    values = json.loads((tmp_path / "all.json").read_text())
+    assert values == json.loads((tmp_path / "out" / "reliability.json").read_text())
+    assert values["sections"][0]["rows"][0]["damaged"] == 150
+    assert (tmp_path / "out" / "reliability.csv").read_text().count("\n") > 7
+
+
+@pytest.mark.slow
+def test_a_look_at_everything(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert cli.run(Options, main, ["--quick", "--runs", "10", "--out", "out"]) == 0
+    values = json.loads((tmp_path / "out" / "reliability.json").read_text())
+    assert [s["key"] for s in values["sections"]] == ["inputs", "files", "loops"]
+    assert all(f["ok"] for s in values["sections"] for f in s["findings"])
