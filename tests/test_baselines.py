@@ -21,7 +21,7 @@ from lpvmpc.control.geometric import (
 )
 from lpvmpc.control.lmpc import EULER_FROM, LMPC, LMPCWeights, _held, lateral
 from lpvmpc.control.pid import PIDGains, ProtectedPID, SpeedPID
-from lpvmpc.control.qp import QPResult
+from lpvmpc.control.solver.checked import QPResult
 from lpvmpc.control.weights_file import shipped_file
 from lpvmpc.errors import OptionError
 from lpvmpc.interface import State

@@ -8,7 +8,7 @@ from lpvmpc.control import weights_file
 from lpvmpc.control.cost import PAPER_WEIGHTS, Weights
 from lpvmpc.control.formulation import EY_MAX, PAPER, Formulation
 from lpvmpc.control.lpv_mpc import LPVMPC
-from lpvmpc.control.qp import QPResult
+from lpvmpc.control.solver.checked import QPResult
 from lpvmpc.control.stiffness.models import ConstantStiffness
 from lpvmpc.errors import OptionError
 from lpvmpc.interface import Preview, State

@@ -15,7 +15,7 @@ import numpy as np
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.control.horizon import Horizon
 from lpvmpc.control.period import accept, shift
-from lpvmpc.control.qp import QPResult, QPSolver
+from lpvmpc.control.solver.checked import QPResult, QPSolver
 from lpvmpc.errors import OptionError
 from lpvmpc.interface import Command, Diagnostics, Preview, State
 from lpvmpc.units import Array

@@ -50,11 +50,11 @@ from lpvmpc.control.cost import (
 from lpvmpc.control.formulation import DELTA_MAX_PAPER, DELTA_STEP_PAPER, SCALE
 from lpvmpc.control.horizon import Horizon
 from lpvmpc.control.lpv_mpc import LOOK_AHEAD, TABLE_LAGS, WALK
-from lpvmpc.control.qp import QPResult
 from lpvmpc.control.rivals import nmpc_sqp
 from lpvmpc.control.rivals.nmpc_model import Model, rates, slips
 from lpvmpc.control.rivals.staged_qp import StagedQP, write
 from lpvmpc.control.servo import LATENCIES, ServoBank, drive_of, steering_of
+from lpvmpc.control.solver.checked import QPResult
 from lpvmpc.control.stiffness.adaptation import CF, CR, MU, TireAdaptation
 from lpvmpc.control.tracker import Tracker, checked_delay
 from lpvmpc.control.weights_file import chosen

@@ -1,0 +1,1 @@
+"""Quadratic programs solved and checked: what every controller on a QP trusts."""
