@@ -33,6 +33,7 @@ class Rival:
 
 
 RIVALS: dict[str, Rival] = {
+    "lqr": Rival(module="lqr", maker="LQR"),
     "nmpc": Rival(module="nmpc", maker="NMPC", packages=("casadi",), extra="nmpc", slow=True),
     "nmpc-textbook": Rival(
         module="nmpc", maker="TextbookNMPC", packages=("casadi",), extra="nmpc", slow=True
