@@ -261,4 +261,4 @@ def test_it_knows_nothing_of_cars():
         imported = {n.module for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
         ours = {module for module in imported if module and module.startswith("lpvmpc")}
         own = {"lpvmpc.tune.search", "lpvmpc.tune.checkpoint"}
-        assert ours <= {"lpvmpc.errors", "lpvmpc.units"} | own
+        assert ours <= {"lpvmpc.errors", "lpvmpc.units", "lpvmpc.kit.files"} | own
