@@ -122,7 +122,7 @@ def test_what_a_road_asks_too_much_is_one_line_and_recorded(run, sketch, tmp_pat
 
 PARAMETERS = [
     (["--scenario", "papers"], "Unknown scenario 'papers'; the choices are"),
-    (["--controller", "mpc"], "Unknown controller 'mpc'; the choices are lmpc-pso-pid, lmpc-pso-pid-plain"),
+    (["--controller", "mpc"], "Unknown controller 'mpc'; the choices are lmpc-pso-pid,"),
     (["--controller", "absent:Mine"], "Controller 'absent:Mine' cannot be imported"),
     (["--weights", "absent.toml"], "Weights file 'absent.toml' cannot be read: No such file"),
     (["--controller", "stanley", "--stiffness", "network"], "stiffness is 'network', but must be"),
