@@ -182,9 +182,10 @@ def test_a_measurement_that_is_no_number_is_survived_and_copies_drive_alike(car)
     assert controller.diagnostics.solved and controller.diagnostics.prediction.shape == (21, 5)
 
 
-def test_its_weights_are_those_of_lpv_mpc_with_more_terminal():
-    low, high = NMPCWeights.RANGES["terminal"]
-    assert low < NMPCWeights().terminal == 5.0 < high
+def test_its_weights_lie_where_tuning_searches():
+    weights = NMPCWeights()
+    for name, (low, high) in NMPCWeights.RANGES.items():
+        assert low < getattr(weights, name) < high
 
 
 @pytest.mark.slow
