@@ -340,7 +340,7 @@ def test_a_row_that_was_changed_is_found(run, short, tmp_path):
 
 
 def test_runs_are_interleaved_and_their_results_are_not():
-    from lpvmpc.commands.batches import interleaved
+    from lpvmpc.commands.parts.batches import interleaved
 
     driven = []
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lpvmpc.commands.batches import driver, prepare, wrapped
+from lpvmpc.commands.parts.batches import driver, prepare, wrapped
 from lpvmpc.kit import cli
 from lpvmpc.kit.progress import Bar
 from lpvmpc.kit.report import write_report

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from lpvmpc.commands.batches import driver, interleaved, jobs_of, prepare, wrapped
+from lpvmpc.commands.parts.batches import driver, interleaved, jobs_of, prepare, wrapped
 from lpvmpc.errors import OptionError, UnknownNameError
 from lpvmpc.kit import cli
 from lpvmpc.kit.files import write_text

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from lpvmpc.commands.batches import jobs_of
+from lpvmpc.commands.parts.batches import jobs_of
 from lpvmpc.errors import OptionError
 from lpvmpc.kit import cli
 from lpvmpc.kit.progress import Bar

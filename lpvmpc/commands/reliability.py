@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lpvmpc import commands
-from lpvmpc.commands.batches import driver, prepare, wrapped
+from lpvmpc.commands.parts.batches import driver, prepare, wrapped
 from lpvmpc.kit import cli
 from lpvmpc.kit.findings import promises_sentence
 from lpvmpc.kit.progress import Bar

@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from lpvmpc.commands.track_table import print_table
+from lpvmpc.commands.parts.track_table import print_table
 from lpvmpc.control.registry import CONTROLLERS, STIFFNESS_MODELS
 from lpvmpc.errors import LPVMPCError, OptionError, RenderError
 from lpvmpc.kit import cli

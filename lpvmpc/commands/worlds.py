@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from lpvmpc.commands.batches import driver, jobs_of, prepare, wrapped
+from lpvmpc.commands.parts.batches import driver, jobs_of, prepare, wrapped
 from lpvmpc.errors import OptionError
 from lpvmpc.kit import cli
 from lpvmpc.kit.progress import Bar
