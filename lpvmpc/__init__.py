@@ -39,11 +39,13 @@ if TYPE_CHECKING:
     from lpvmpc.sim.loop import Log, simulate
     from lpvmpc.sim.metrics import metrics
     from lpvmpc.sim.names import load_controller, load_scenario
+    from lpvmpc.sim.process.isolated import Isolated
     from lpvmpc.sim.world import World, load_world
 
 _HOME = {
     "CONTROLLERS": "control.registry",
     "Command": "interface",
+    "Isolated": "sim.process.isolated",
     "LPVMPC": "control.lpv_mpc",
     "LPVMPCError": "errors",
     "Log": "sim.loop",
@@ -66,6 +68,7 @@ _HOME = {
 
 __all__ = [
     "CONTROLLERS",
+    "Isolated",
     "LPVMPC",
     "SCENARIOS",
     "Command",

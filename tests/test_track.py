@@ -236,6 +236,22 @@ def test_bad_controllers_are_one_sentence(run, road, user_module, name, sentence
     assert err.startswith("Error: ") and err.count("\n") == 1
 
 
+def test_in_a_process_of_its_own_it_drives_the_same(run, road, sketch, user_module, tmp_path):
+    user_module(BROKEN + "class Good(Base):\n    def command(self, *_): return 0.0, 0.0\n"
+                "class Exits(Base):\n    calls = 0\n    def command(self, state, preview):\n"
+                "        import os\n        self.calls += 1\n"
+                "        return (0.0, 0.0) if self.calls < 9 else os._exit(3)\n")
+    for words in ((), ("--isolate",)):
+        assert run("--scenario", road, "--controller", "mine:Good", "--out", f"x{len(words)}",
+                   *words)[0] == 0
+    assert Path("x0/trace.parquet").read_bytes() == Path("x1/trace.parquet").read_bytes()
+    code, out, err = run("--scenario", road, "--controller", "mine:Exits", "--isolate", "--out",
+                         "exits")
+    assert code == 3 and err == ""
+    assert "ended its process with code 3 in command" in " ".join(out.split())
+    assert json.loads(Path("exits/metrics.json").read_text())["lateral_max_m"] is not None
+
+
 def test_a_run_that_fails_midway_leaves_the_last_results(run, road, sketch, user_module, tmp_path):
     user_module(BROKEN)
     folder = tmp_path / "out"

@@ -106,6 +106,9 @@ class Options:
     step_timeout: float | None = None
     """Longest time of one call of the controller, or of your own estimator, compiling included,
     before the run is given up [s] (default: 60 for your own, no limit for the package's)."""
+    isolate: bool = False
+    """Let the controller live in a process of its own: what it does there reaches neither plant nor
+    record, hangs in compiled code end in time, and its memory is limited (1.5 GiB)."""
     json: Path | None = None
     """Write the metrics to this file as well."""
 
@@ -114,7 +117,7 @@ def main(options: Options) -> int:
     """Drive, print, save; returns the exit code."""
     check(options)
     cli.check_opengl()
-    from lpvmpc import Plant, load_controller, load_scenario, simulate
+    from lpvmpc import Isolated, Plant, load_controller, load_scenario, simulate
     from lpvmpc.sim.ending import check_start
     from lpvmpc.sim.metrics import metrics
 
@@ -123,9 +126,13 @@ def main(options: Options) -> int:
     check_start(scenario, options.laps, offset)
     own = ":" in options.controller
     limit = USER_TIMEOUT if own or ":" in (options.estimator or "") else None
-    controller = load_controller(options.controller, **controller_options(options, own))
-    plant = Plant()
-    warn_of_another_car(controller, plant)
+    plant, given = Plant(), controller_options(options, own)
+    controller: Any = None
+    if not (own and options.isolate):  # a user's code is not even imported here
+        controller = load_controller(options.controller, **given)
+        warn_of_another_car(controller, plant)
+    if options.isolate:
+        controller = Isolated(options.controller, **given)
     name = re.sub(r"[^\w.-]+", "-", f"{scenario.name}-{options.controller}")
     for sentence in scenario.warnings:
         print("Warning:", sentence, file=sys.stderr)
@@ -200,14 +207,14 @@ def scenario_options(options: Options) -> dict[str, Any]:
 
 
 def controller_options(options: Options, own: bool) -> dict[str, Any]:
-    """What a shipped controller is made with; a user's own is made without arguments."""
+    """What a controller is made with; a user's own is told the delay where it asks for it."""
     if own:
         for name, value in (("--weights", options.weights), ("--stiffness", options.stiffness)):
             if value is not None:
                 raise LPVMPCError(f"{name} is {str(value)!r}, but the controller "
                                   f"{options.controller!r} is your own: it has only what its "
                                   "constructor sets.")
-        return {}
+        return {"delay": options.delay}
     from lpvmpc.control.weights_file import read_weights
 
     known: dict[str, Any] = {"delay": options.delay, "stiffness": options.stiffness}

@@ -1,38 +1,35 @@
-"""Runs of a user's class, in a process that may hang, die or take too much memory.
+"""Runs of a user's class, whose controller lives in a process that may hang, die or hoard memory.
 
-What a controller of the package does is known; a user's may call `os._exit`, loop in compiled code
-or fill the memory. Such a run is ended from outside and charged, and the others go on.
+What a controller of the package does is known; a user's may call `os._exit`, loop in compiled code,
+fill the memory, or reach for the plant. It drives as an `Isolated`, so it can do none of this to
+anybody else: its run is ended and charged, and the others go on.
 """
 
 from __future__ import annotations
 
-import atexit
-import os
-import time
 from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lpvmpc.errors import LPVMPCError, described
-from lpvmpc.kit.files import write_json
-from lpvmpc.kit.workers import Worker, check, workers
-from lpvmpc.plant.plant import Plant
+from lpvmpc.kit.workers import check, workers
+from lpvmpc.plant import deviations
 from lpvmpc.sim import batch
 from lpvmpc.sim.batch import Run
 from lpvmpc.sim.loop import simulate
 from lpvmpc.sim.metrics import details, metrics
-from lpvmpc.sim.names import load_controller
+from lpvmpc.sim.process.isolated import Isolated
+
+if TYPE_CHECKING:
+    from lpvmpc.plant.plant import Plant
 
 STEP_TIMEOUT = 1.0
-"""Longest wall-clock time of one call of a controller [s]; Python code is interrupted by then."""
-SILENCE = 15.0
-"""Longest time without a control period, after which the process is ended [s]."""
+"""Longest wall-clock time of one call of a controller [s]."""
 START = 120.0
-"""The same before the first one: imports, compilation, the class's own constructor [s]."""
-MEMORY = 2 * 1024**3
-"""Memory that the process may take [bytes]."""
+"""The same of its import and constructor, and of its first command, which may compile [s]."""
+MEMORY = 2048
+"""Memory that it may ask for [MiB]."""
 
 
 def drive_all(
@@ -64,7 +61,7 @@ def drive_all(
             for key, result in pool.each(outcome, missing.items()):
                 found[key] = result
                 if cache is not None:
-                    write_json(cache / f"{key}.json", result)
+                    batch.keep_result(cache, key, result)
                 done += keys.count(key)
                 if progress is not None:
                     progress(done, len(runs))
@@ -72,105 +69,42 @@ def drive_all(
 
 
 def outcome(item: tuple[str, Run]) -> tuple[str, dict[str, Any]]:
-    """Drive a run, given with its key, in another process, and measure it."""
+    """Drive a run, given with its key, and measure it; an error becomes its result.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C.
+    """
     key, run = item
-    with TemporaryDirectory() as folder:
-        pulse = Path(folder) / "pulse"
-        worker, begin = _worker(), time.monotonic()
-        whole = False
-        try:
-            worker.give(_driven, (run, str(pulse)))
-            while not worker.line.poll(0.2):
-                why = _silent(pulse, begin)
-                if why:
-                    return key, batch.charged(run, why)
-            returned, value = worker.answer("died")
-            whole = True
-        except LPVMPCError:
-            return key, batch.charged(
-                run, f"Controller {run.controller!r} ended its process: os._exit, a crash, or no "
-                "memory left."
-            )
-        finally:
-            if whole:
-                _resting.append(worker)  # the next run need not import and compile again
-            else:
-                worker.end()
-    if returned:
-        return key, value
-    if isinstance(value, KeyboardInterrupt):
-        raise value
-    text = str(value) if isinstance(value, LPVMPCError) else described(value)
-    return key, batch.charged(run, " ".join(text.split()))
-
-
-_resting: list[Worker] = []
-"""The process that has driven the last run, where it is still fit for the next."""
-
-
-def _worker() -> Worker:
-    """A process that rests, or a new one."""
-    while _resting:
-        worker = _resting.pop()
-        if worker.fits():
-            return worker
-        worker.end()
-    return Worker()
-
-
-@atexit.register
-def _dismiss() -> None:
-    while _resting:
-        _resting.pop().end()
-
-
-def _silent(pulse: Path, begin: float) -> str:
-    """Why a process is to be ended; empty while it drives."""
     try:
-        silent = time.time() - pulse.stat().st_mtime
-    except OSError:
-        started = time.monotonic() - begin < START
-        return "" if started else f"The controller has not started within {START:g} s."
-    return "" if silent < SILENCE else (
-        f"The controller hung: no command for {SILENCE:g} s, and no way to interrupt it."
-    )
-
-
-def _driven(item: tuple[Run, str]) -> dict[str, Any]:
-    """Drive a run here, and show a pulse while it goes on."""
-    run, pulse = item
-    _limit_memory()
-    last = 0.0
-
-    def beat(_: float) -> None:
-        nonlocal last
-        if time.monotonic() - last > 0.5:
-            last = time.monotonic()
-            Path(pulse).touch()
-
-    controller = load_controller(run.controller, **run.controller_options)
-    log = simulate(
-        _plant(), controller, batch.scenario_of(run), seed=run.seed, world=run.world,
-        estimator=run.estimator, step_timeout=STEP_TIMEOUT, progress=beat,
-        name=run.controller, options={"road": run.road},
-    )
+        log = simulate(
+            _plant(),
+            Isolated(run.controller, start_timeout=START, first_timeout=START, memory=MEMORY,
+                     output=False, **run.controller_options),
+            batch.scenario_of(run),
+            seed=run.seed,
+            laps=run.laps,
+            start_offset=run.start_offset,
+            delay=run.delay,
+            world=run.world,
+            estimator=run.estimator,
+            latency=run.latency,
+            deviations=deviations.named(run.deviations) if run.deviations else None,
+            step_timeout=STEP_TIMEOUT,
+            name=run.controller,
+            options={"road": run.road},
+        )
+    except LPVMPCError as error:
+        return key, batch.charged(run, " ".join(str(error).split()))
+    except Exception as error:  # one broken run must not take the others' results away
+        return key, batch.charged(run, described(error))
     if log.meta["reason"] == "interrupted":
         raise KeyboardInterrupt
-    return {**metrics(log), **details(log)}
+    return key, {**metrics(log), **details(log)}
 
 
 @cache
 def _plant() -> Plant:
-    """The car of this process."""
+    """The car of this process; `simulate` resets it."""
+    from lpvmpc.plant.plant import Plant
+
     return Plant()
-
-
-@cache
-def _limit_memory() -> None:
-    """Let this process take no more than `MEMORY`, where the system can be told so."""
-    try:
-        import resource
-    except ImportError:
-        return
-    if hasattr(resource, "RLIMIT_DATA") and os.name == "posix":
-        resource.setrlimit(resource.RLIMIT_DATA, (MEMORY, MEMORY))

@@ -221,9 +221,11 @@ class Guard:
         """The error that says that it raised."""
         return self.error(f"{self.kind} {self.name!r} raised in {what} at t = {t:.3f} s: {why}.")
 
-    def late(self, what: str, t: float, seconds: float) -> LPVMPCError:
-        """The error that says that it took too long."""
+    def late(
+        self, what: str, t: float, seconds: float, option: str = "--step-timeout"
+    ) -> LPVMPCError:
+        """The error that says that it took too long, and which option sets the limit."""
         return self.error(
             f"{self.kind} {self.name!r} did not return from {what} within {seconds:g} s at "
-            f"t = {t:.3f} s (--step-timeout)."
+            f"t = {t:.3f} s ({option})."
         )

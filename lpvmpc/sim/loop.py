@@ -13,7 +13,7 @@ import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +33,7 @@ from lpvmpc.sim.guard import Alarm, Guard
 from lpvmpc.sim.log import Log, Recorder
 from lpvmpc.sim.names import load_estimator
 from lpvmpc.sim.perception import Perception
+from lpvmpc.sim.process.isolated import Isolated
 from lpvmpc.sim.world import Draw, World, children, load_world
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ Progress = Callable[[float], None]
 
 def simulate(
     plant: Plant,
-    controller: Controller,
+    controller: Controller | Isolated,
     scenario: Scenario,
     *,
     seed: int = 0,
@@ -72,7 +73,8 @@ def simulate(
 
     Args:
         plant: The car; reset here, its friction set from the scenario.
-        controller: Anything with `reset(rng)` and `command(state, preview)`; see `interface`.
+        controller: Anything with `reset(rng)` and `command(state, preview)`, see `interface`; or an
+            `Isolated`, which names one that is to live in a process of its own.
         scenario: Path, speed, wind and friction.
         seed: Seed of everything random: the generator given to the controller, and apart from it
             the world and its sensors.
@@ -112,8 +114,10 @@ def simulate(
     check_start(scenario, laps, start_offset)
     if step_timeout is not None and not (math.isfinite(step_timeout) and step_timeout > 0.0):
         raise OptionError("step_timeout", step_timeout, "a positive number of seconds")
-    with Alarm().installed() as alarm:
-        driver = InProcess(controller, name, alarm, step_timeout)
+    with (
+        Alarm().installed() as alarm,
+        _driving(controller, name, alarm, step_timeout) as driver,
+    ):
         about, Ts = driver.about, plant.Ts
         if about.Ts is not None and not math.isclose(about.Ts, Ts, rel_tol=1e-9):
             raise OptionError("controller Ts", about.Ts, f"the plant's, {Ts} s")
@@ -157,6 +161,15 @@ def simulate(
     if loop.perception is not None:
         log.columns.update(loop.perception.columns(len(log)))
     return log
+
+
+def _driving(
+    controller: Controller | Isolated, name: str | None, alarm: Alarm, seconds: float | None
+) -> AbstractContextManager[Driver]:
+    """The driver of a controller, which lives here or in a process of its own."""
+    if isinstance(controller, Isolated):
+        return controller.driver(name, seconds)
+    return nullcontext(InProcess(controller, name, alarm, seconds))
 
 
 @contextmanager

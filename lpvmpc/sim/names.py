@@ -17,7 +17,6 @@ from lpvmpc.errors import (
     described,
 )
 from lpvmpc.interface import Controller, Estimator
-from lpvmpc.road import scenario
 from lpvmpc.sensing.exact import Exact
 from lpvmpc.sim.own import own_module
 
@@ -27,6 +26,7 @@ if TYPE_CHECKING:
     from lpvmpc.car.params import VehicleParams
     from lpvmpc.car.tire import Tire
     from lpvmpc.control.stiffness.network_file import Weights
+    from lpvmpc.road.scenario import Scenario
     from lpvmpc.sensing.sensors import Sensing
 
 ESTIMATORS = ("ekf", "none")
@@ -35,7 +35,7 @@ ESTIMATORS = ("ekf", "none")
 
 def load_scenario(
     name_or_csv: str | Path, *, params: VehicleParams | None = None, **options: Any
-) -> scenario.Scenario:
+) -> Scenario:
     """A scenario by name, or made from a track file, for a car.
 
     Args:
@@ -48,6 +48,8 @@ def load_scenario(
         OptionError: An option outside its domain.
         PathError: A file or a road that cannot be driven.
     """
+    from lpvmpc.road import scenario  # compiled code: not for a process that only controls
+
     return scenario.load_scenario(name_or_csv, params=params or _packaged_car(), **options)
 
 
