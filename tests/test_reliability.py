@@ -91,5 +91,38 @@ def test_a_look_at_everything(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert cli.run(Options, main, ["--quick", "--runs", "10", "--out", "out"]) == 0
     values = json.loads((tmp_path / "out" / "reliability.json").read_text())
-    assert [s["key"] for s in values["sections"]] == ["inputs", "files", "loops"]
+    assert [s["key"] for s in values["sections"]] == [
+        "inputs", "files", "controllers", "loops"]
     assert all(f["ok"] for s in values["sections"] for f in s["findings"])
+
+
+# Controllers that do wrong ------------------------------------------------------------------------
+
+
+def test_what_a_controller_does_wrong_in_this_process_is_told():
+    from lpvmpc.reliability import misbehaving
+
+    found = misbehaving.controllers(3, here=36, isolated=0)
+    assert found.faults == [] and sum(found.told.values()) == 36
+    table = report.controllers_section(found)
+    assert len(table.rows) == 26 and table.findings[0].ok
+
+
+@pytest.mark.slow
+def test_what_a_controller_does_wrong_in_its_own_process_is_told():
+    from lpvmpc.reliability import misbehaving
+
+    found = misbehaving.controllers(4, here=0, isolated=52)
+    assert found.faults == [] and sum(found.told.values()) == 52
+    assert misbehaving.left_behind() == []
+
+
+def test_a_controller_that_gets_away_is_a_fault(monkeypatch):
+    from lpvmpc.reliability import misbehaving
+
+    monkeypatch.setattr(misbehaving, "RAISES", {"behaves": lambda: None})
+    monkeypatch.setattr(misbehaving, "ANSWERS", {"steers": (0.1, 0.0)})
+    monkeypatch.setattr(misbehaving, "TOLD", {})
+    found = misbehaving.controllers(0, here=2, isolated=0)
+    assert len(found.faults) == 2 and not report.controllers_section(found).findings[0].ok
+    assert all("it completed" in fault or "no sentence" in fault for fault in found.faults)

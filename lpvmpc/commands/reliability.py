@@ -28,9 +28,12 @@ if TYPE_CHECKING:
 
 NAME = "reliability"
 QUICK_OUT = Path("runs/reliability-quick")
-PARTS = ("inputs", "files", "loops")
+PARTS = ("inputs", "files", "controllers", "loops")
 """What may be tried, in the order of the report."""
 QUICK_RUNS, QUICK_DAMAGES = 20, 150
+HERE, ISOLATED = 1000, 300
+"""Controllers that do wrong: runs in this process, and in processes of their own."""
+QUICK_HERE, QUICK_ISOLATED = 36, 26
 DAMAGES = 2000
 """How often a file of each kind is damaged."""
 SEED = 0
@@ -48,7 +51,7 @@ class Options:
     jobs: int = 0
     """Number of processes (0: one per core)."""
     parts: tuple[str, ...] = ()
-    """What to try: inputs, files, loops (default: all)."""
+    """What to try: inputs, files, controllers, loops (default: all)."""
     runs: int | None = None
     """Random runs (default: 1000, with --quick 20)."""
     out: Path | None = None
@@ -119,7 +122,7 @@ def asked() -> list[Answer]:
 
 def tried(part: str, options: Options, answers: list[Answer], runs: int, jobs: int) -> Section:
     """The section of a part."""
-    from lpvmpc.reliability import damage, loops, report
+    from lpvmpc.reliability import damage, loops, misbehaving, report
 
     if part == "inputs":
         return report.inputs_section(answers)
@@ -127,6 +130,11 @@ def tried(part: str, options: Options, answers: list[Answer], runs: int, jobs: i
         count = QUICK_DAMAGES if options.quick else DAMAGES
         found = [damage.fuzz(subject, count, SEED) for subject in damage.subjects()]
         return report.files_section(found, count, SEED)
+    if part == "controllers":
+        here, isolated = (QUICK_HERE, QUICK_ISOLATED) if options.quick else (HERE, ISOLATED)
+        return report.controllers_section(
+            misbehaving.controllers(SEED, here, isolated)
+        )
     planned = [loops.random_run(number) for number in range(runs)]
     with Bar(counted=True, unit="runs") as bar:
         results = driver(jobs, options.cache, bar)("random roads")(planned)

@@ -11,6 +11,7 @@ from lpvmpc.kit.findings import Finding, Limit, promises_sentence, promises_tabl
 from lpvmpc.kit.markdown import markdown_table
 from lpvmpc.kit.provenance import machine
 from lpvmpc.kit.report import at_a_time, csv_text, finite, record, versions_line
+from lpvmpc.reliability import misbehaving
 from lpvmpc.reliability.damage import FAULTS, WAYS, Damaged
 from lpvmpc.reliability.inputs import Answer
 from lpvmpc.reliability.loops import BESIDE, CONTROLLER, GRIP, LATENCY, Driven
@@ -103,6 +104,38 @@ def files_section(found: Sequence[Damaged], count: int, seed: int) -> Section:
                   "a user needs to know what is wrong, and nothing else"),
         ),
         faults=tuple(f"{one.name}, damage {text}" for one in found for text in one.examples),
+    )
+
+
+def controllers_section(found: misbehaving.Trials) -> Section:
+    """Controllers that do wrong."""
+    rows = []
+    for what in (*misbehaving.ENDS, *misbehaving.RAISES, *misbehaving.ANSWERS, *misbehaving.TOLD):
+        row: list[object] = [what]
+        for mode in ("here", "isolated"):
+            row += [found.tried[what, mode], found.told[what, mode]]
+        rows.append(tuple(row))
+    n = sum(found.tried.values())
+    return Section(
+        key="controllers",
+        title="Controllers that do wrong",
+        about=(
+            f"{n} runs from seed {found.seed} of controllers that raise, hang, die, hoard memory "
+            "or answer what is no command, in their constructor, in `reset` or after 0 to "
+            f"{misbehaving.LATEST} commands (lpvmpc/reliability/misbehaving.py): in this process "
+            "what it survives, and everything in processes of their own. Told: ended in one "
+            "printable sentence, with all that was measured until then, and no process left "
+            f"behind. Limits: {misbehaving.STEP_TIMEOUT:g} s a call, {misbehaving.START_TIMEOUT:g} "
+            f"s to start, {misbehaving.MEMORY} MiB; the longest run took {found.longest_s:.1f} s."
+        ),
+        header=("what it does", "here", "told", "isolated", "told there"),
+        rows=tuple(rows),
+        findings=(
+            Finding(key="controllers_faults", figure="controllers whose failure is not told",
+                    value=float(len(found.faults)), limit=Limit.at_most(0),
+                    why="a controller's failure is its result, and nobody else's"),
+        ),
+        faults=tuple(found.faults),
     )
 
 
