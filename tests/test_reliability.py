@@ -3,7 +3,7 @@ import json
 import numpy as np
 import pytest
 
-from lpvmpc.commands.reliability import Options, main
+from lpvmpc.commands.reliability import PARTS, Options, main
 from lpvmpc.kit import cli
 from lpvmpc.reliability import damage, loops, report
 from lpvmpc.reliability.damage import Subject
@@ -86,13 +86,21 @@ def test_the_command_writes_its_report(tmp_path, monkeypatch, capsys):
     assert (tmp_path / "out" / "reliability.csv").read_text().count("\n") > 7
 
 
+def test_what_the_solver_got_wrong_is_a_missed_promise():
+    kind = dict.fromkeys(("solvable", "refused", "wrong", "answered", "slow", "second"), 0)
+    kind |= {"count": 9, "solvable": 9, "worst_ms": 0.1}
+    times = {"seed": 0, "p50_us": 20.0, "p99_us": 90.0, "kinds": {"convex": kind}}
+    assert all(f.ok for f in report.qps_section({**kind, **times}).findings)
+    bad = {**kind, **times, "refused": 1, "wrong": 1, "answered": 1, "slow": 1}
+    assert not any(f.ok for f in report.qps_section(bad).findings)
+
+
 @pytest.mark.slow
 def test_a_look_at_everything(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert cli.run(Options, main, ["--quick", "--runs", "10", "--out", "out"]) == 0
     values = json.loads((tmp_path / "out" / "reliability.json").read_text())
-    assert [s["key"] for s in values["sections"]] == [
-        "inputs", "files", "controllers", "loops"]
+    assert [s["key"] for s in values["sections"]] == list(PARTS)
     assert all(f["ok"] for s in values["sections"] for f in s["findings"])
 
 

@@ -22,21 +22,27 @@ def folder(tmp_path_factory):
 
 @pytest.fixture
 def deadline():
-    """An input that is not refused would drive on: it ends here."""
+    """An input that is not refused would drive on, or wait: it ends here, after 90 s of CPU."""
 
     def late(*_):
         raise TimeoutError("not refused")
 
-    before = signal.signal(signal.SIGALRM, late)
-    yield signal.alarm
+    def begin():
+        signal.setitimer(signal.ITIMER_PROF, 90.0)
+        signal.alarm(1800)  # a machine may be slow, a read of a pipe waits for ever
+
+    before = {number: signal.signal(number, late) for number in (signal.SIGALRM, signal.SIGPROF)}
+    yield begin
+    signal.setitimer(signal.ITIMER_PROF, 0.0)
     signal.alarm(0)
-    signal.signal(signal.SIGALRM, before)
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 def test_the_list_is_long_and_has_every_command():
     counts = Counter(wrong.words[0] for wrong in LIST)
     assert len({wrong.words for wrong in LIST}) >= 400
-    assert all(counts[name] > 10 for name in COMMANDS if name != "reliability"), counts
+    assert all(counts[name] > 5 for name in COMMANDS if name != "reliability"), counts
 
 
 @pytest.mark.parametrize("first", FIRST)
@@ -44,7 +50,7 @@ def test_every_wrong_input_is_refused_in_one_sentence(folder, deadline, first):
     answers = []
     for wrong in LIST:
         if wrong.words[0] == first:
-            deadline(60)
+            deadline()
             answers.append(inputs.ask(wrong, main))
     faults = {a.wrong.words: (a.fault, a.sentence[-300:]) for a in answers if a.fault}
     assert faults == {}

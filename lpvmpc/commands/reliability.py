@@ -1,4 +1,4 @@
-"""Try what goes wrong: wrong inputs, damaged files, roads that nobody has tuned for.
+"""Try what goes wrong: inputs, files, controllers, QPs, roads that nobody has tuned for.
 
     lpvmpc reliability --jobs 2
 
@@ -28,21 +28,20 @@ if TYPE_CHECKING:
 
 NAME = "reliability"
 QUICK_OUT = Path("runs/reliability-quick")
-PARTS = ("inputs", "files", "controllers", "loops")
+PARTS = ("inputs", "files", "controllers", "qps", "loops")
 """What may be tried, in the order of the report."""
-QUICK_RUNS, QUICK_DAMAGES = 20, 150
-HERE, ISOLATED = 1000, 300
-"""Controllers that do wrong: runs in this process, and in processes of their own."""
-QUICK_HERE, QUICK_ISOLATED = 36, 26
-DAMAGES = 2000
-"""How often a file of each kind is damaged."""
+DAMAGES, HERE, ISOLATED, QPS, RUNS = 2000, 1000, 300, 20_000, 1000
+"""How often a file of each kind is damaged; controllers that do wrong, in this process and in
+processes of their own; quadratic programs; random runs."""
+QUICK_DAMAGES, QUICK_HERE, QUICK_ISOLATED, QUICK_QPS, QUICK_RUNS = 150, 36, 26, 500, 20
+"""The same with --quick."""
 SEED = 0
-"""Seed of the damages; the runs' seeds are their numbers."""
+"""Seed of all of them; the random runs' seeds are their numbers."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """Try wrong inputs, damaged files and random roads, and report what happened."""
+    """Try wrong inputs, damaged files, bad controllers, QPs, random roads; report what happened."""
 
     quick: bool = False
     """A look instead of the report: fewer of each, into runs/reliability-quick (unless --out)."""
@@ -51,7 +50,7 @@ class Options:
     jobs: int = 0
     """Number of processes (0: one per core)."""
     parts: tuple[str, ...] = ()
-    """What to try: inputs, files, controllers, loops (default: all)."""
+    """What to try: inputs, files, controllers, qps, loops (default: all)."""
     runs: int | None = None
     """Random runs (default: 1000, with --quick 20)."""
     out: Path | None = None
@@ -79,7 +78,7 @@ def main(options: Options) -> int:
     cli.results_folder(out, NAME)
     prepare(options.cache, options.resume, NAME)
     jobs = options.jobs or cli.cores()
-    runs = options.runs or (QUICK_RUNS if options.quick else 1000)
+    runs = options.runs or (QUICK_RUNS if options.quick else RUNS)
     try:
         sections = [tried(part, options, answers, runs, jobs) for part in parts]
     except KeyboardInterrupt:
@@ -132,9 +131,11 @@ def tried(part: str, options: Options, answers: list[Answer], runs: int, jobs: i
         return report.files_section(found, count, SEED)
     if part == "controllers":
         here, isolated = (QUICK_HERE, QUICK_ISOLATED) if options.quick else (HERE, ISOLATED)
-        return report.controllers_section(
-            misbehaving.controllers(SEED, here, isolated)
-        )
+        return report.controllers_section(misbehaving.controllers(SEED, here, isolated))
+    if part == "qps":
+        from lpvmpc.bench import fuzz
+
+        return report.qps_section(fuzz.qps(QUICK_QPS if options.quick else QPS, SEED))
     planned = [loops.random_run(number) for number in range(runs)]
     with Bar(counted=True, unit="runs") as bar:
         results = driver(jobs, options.cache, bar)("random roads")(planned)
@@ -146,6 +147,7 @@ def summary(sections: list[Section]) -> str:
     found = [finding for section in sections for finding in section.findings]
     lines = [wrapped(promises_sentence(found))]
     for section in sections:
-        counted = f"{section.title}: {sum(int(str(row[1])) for row in section.rows)} tried"
-        lines.append(wrapped(f"{counted}, {len(section.faults) or 'none'} to be told one by one."))
+        told = len(section.faults) or "none"
+        lines.append(wrapped(f"{section.title}: {section.tried} tried, {told} to be told one by "
+                             "one."))
     return "\n".join(lines)

@@ -25,12 +25,14 @@ from lpvmpc.reliability import wrong_files
 
 Main = Callable[[Sequence[str]], int]
 """Runs a command line and gives its exit code."""
-SLOW = 15.0
-"""No refusal takes more of the processor than this [s], the imports of the first one included."""
+SLOW = 60.0
+"""No refusal takes more of the processor than this [s]: the first one may have to compile."""
 NO_NUMBERS = ("x", "", "1,5", "1e", "[red]")
 """Words that are no numbers."""
 NO_INTEGERS = ("1.5", "nan", "1e3", "0x10")
 """Words that are no whole numbers."""
+NO_COMMANDS = (("nothing",), ("Track",), ("--scenario", "paper"))
+"""Command lines that name no command."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +110,7 @@ def wrong_inputs(options: Mapping[str, type]) -> list[Wrong]:
     Args:
         options: The commands' options, by the names of the commands.
     """
-    found = [Wrong(words=words) for words in (("nothing",), ("Track",), ("--scenario", "paper"))]
+    found = [Wrong(words=words) for words in NO_COMMANDS]
     for name, kind in options.items():
         found += [Wrong(words=(name, *words)) for words in _by_type(kind)]
         entries = OUT_OF_RANGE.get(name, "").replace("\n", "|").split("|")

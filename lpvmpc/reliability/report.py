@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +13,7 @@ from lpvmpc.kit.provenance import machine
 from lpvmpc.kit.report import at_a_time, csv_text, finite, record, versions_line
 from lpvmpc.reliability import misbehaving
 from lpvmpc.reliability.damage import FAULTS, WAYS, Damaged
-from lpvmpc.reliability.inputs import Answer
+from lpvmpc.reliability.inputs import NO_COMMANDS, Answer
 from lpvmpc.reliability.loops import BESIDE, CONTROLLER, GRIP, LATENCY, Driven
 
 
@@ -25,6 +25,8 @@ class Section:
     """Its name in files and options."""
     title: str
     """Its heading."""
+    tried: int
+    """How many were tried."""
     about: str
     """What was tried, what counts as right, how many and from which seed."""
     header: tuple[str, ...]
@@ -48,7 +50,7 @@ def inputs_section(answers: Sequence[Answer]) -> Section:
     slowest: dict[str, float] = {}
     for answer in answers:
         first = answer.wrong.words[0]
-        name = first if first in _LIKELY or first.startswith("read ") else "no command"
+        name = "no command" if answer.wrong.words in NO_COMMANDS else first
         tried[name] += 1
         bad[name] += bool(answer.fault)
         slowest[name] = max(slowest.get(name, 0.0), answer.seconds)
@@ -56,6 +58,7 @@ def inputs_section(answers: Sequence[Answer]) -> Section:
     return Section(
         key="inputs",
         title="Wrong inputs",
+        tried=len(answers),
         about=(
             f"{len(answers)} wrong command lines and files, a fixed list "
             "(lpvmpc/reliability/inputs.py): words that are no numbers, values outside their "
@@ -76,10 +79,6 @@ def inputs_section(answers: Sequence[Answer]) -> Section:
     )
 
 
-_LIKELY = ("track", "compare", "tune", "collect", "train", "benchmark", "ablation", "worlds",
-           "fidelity", "reproduce", "speed", "replay", "adopt", "solvers", "identify")
-
-
 def files_section(found: Sequence[Damaged], count: int, seed: int) -> Section:
     """Damaged files."""
     kinds = ("refused", "told", "harmless", *FAULTS)
@@ -87,6 +86,7 @@ def files_section(found: Sequence[Damaged], count: int, seed: int) -> Section:
     return Section(
         key="files",
         title="Damaged files",
+        tried=sum(sum(one.outcomes.values()) for one in found),
         about=(
             f"Each kind of file that the package writes and reads again, damaged {count} times "
             f"from seed {seed} ({', '.join(WAYS)}: lpvmpc/reliability/damage.py) and read. "
@@ -119,6 +119,7 @@ def controllers_section(found: misbehaving.Trials) -> Section:
     return Section(
         key="controllers",
         title="Controllers that do wrong",
+        tried=n,
         about=(
             f"{n} runs from seed {found.seed} of controllers that raise, hang, die, hoard memory "
             "or answer what is no command, in their constructor, in `reset` or after 0 to "
@@ -145,6 +146,7 @@ def loops_section(driven: Driven) -> Section:
     return Section(
         key="loops",
         title="Random roads",
+        tried=driven.runs,
         about=(
             f"{driven.runs} runs of `{CONTROLLER}`, run i (also its seed) on road `random-i` with "
             "at least one hairpin of 9.5 to 14 m, in all worlds in turn, planned for "
@@ -172,6 +174,39 @@ def loops_section(driven: Driven) -> Section:
             f"{run.scenario} in {run.world}, grip {run.scenario_options['grip']:g}, latency "
             f"{1000 * (run.latency or 0.0):.0f} ms, started at {run.start_offset[0]:g} m: {why}"
             for run, why in driven.lost
+        ),
+    )
+
+
+def qps_section(found: Mapping[str, Any]) -> Section:
+    """Random quadratic programs, as `bench.fuzz.qps` gives them."""
+    keys = ("count", "solvable", "refused", "wrong", "answered", "slow", "second")
+    solvable = max(found["solvable"], 1)
+    return Section(
+        key="qps",
+        title="Quadratic programs",
+        tried=found["count"],
+        about=(
+            f"{found['count']} random problems from seed {found['seed']} against the solver of "
+            "the controllers; whether one has a solution is known from how it is made, whether an "
+            "answer is it is judged without the solver (lpvmpc/bench/fuzz.py). Wrong: further than "
+            "1e-3 of its size from the solution; answered: though it has none; slow: more than "
+            f"5 ms of CPU; second: by the second method. Median {found['p50_us']:.0f} us, 99th "
+            f"percentile {found['p99_us']:.0f} us, worst {found['worst_ms']:.1f} ms of CPU."
+        ),
+        header=("kind", *keys, "worst [ms]"),
+        rows=tuple((name, *(one[key] for key in keys), f"{one['worst_ms']:.2f}")
+                   for name, one in found["kinds"].items()),
+        findings=(
+            Finding(key="qps_refused", figure="solvable problems refused, per 10,000",
+                    value=1e4 * found["refused"] / solvable, limit=Limit.at_most(1),
+                    why="issue 13"),
+            _none("qps_wrong", "answers that are not the solution", found["wrong"],
+                  "an accepted answer is the optimum"),
+            _none("qps_answered", "answers to problems without a solution", found["answered"],
+                  "a problem without a solution is refused"),
+            _none("qps_slow", "problems that took more than 5 ms of CPU", found["slow"],
+                  "issue 13"),
         ),
     )
 
