@@ -57,6 +57,9 @@ class Formulation:
     """Lag, latency, gain and offset of the steering are learned online."""
     noise: bool = True
     """The observer's gain follows the noise that it sees."""
+    damped: bool = True
+    """The model is frozen along the mean of the last two predictions: near a tire's peak the slope
+    at one prediction makes the next one jump, and the command would alternate."""
     drive_on: bool = True
     """After several refused solves in a row geometry drives, instead of braking to a standstill."""
     span: int = 2
@@ -99,6 +102,7 @@ PAPER = Formulation(
     approach=False,
     steering=False,
     noise=False,
+    damped=False,
     drive_on=False,
 )
 """The paper's plain formulation on the corrected matrices."""

@@ -47,6 +47,8 @@ class Horizon:
     decoupled: int
     """Whether speed errors never steer: the steering's effect on the speed is taken as planned, and
     the path is looked at where the car will be, not where its reference would."""
+    damped: int
+    """Whether the model is frozen along the mean of the last two predictions."""
     steady: int
     """Whether the states' reference is steady cornering; else speed alone, the others zero."""
     x_ref: Array
@@ -159,8 +161,9 @@ class Horizon:
     """How far a disturbance is believed to move within a second, shape (3,); infinite: as far as
     the gain lets it."""
     allowed: Array
-    """Acceleration and braking that traction control allows, and the braking that the road is
-    believed to hold, all positive [m/s2], shape (3,)."""
+    """What traction control allows and believes, all positive [m/s2], shape (5,): drive, brakes,
+    braking that locked a wheel, braking that the road holds on a straight, lateral acceleration
+    that bends are driven with."""
 
     def __post_init__(self) -> None:
         """Make the handle; numbers of one kind, so that all handles have one type."""
@@ -222,7 +225,7 @@ class Horizon:
             "knots": (n + 1, ns),
             "queue": (delay + unknown + 1, 2), "x_last": (ns,), "kappa_last": (1,),
             "predicted": (ns,), "inner": (5,), "gain": (3,), "disturbance": (3,),
-            "unmodelled": (2,), "acting": (4,), "slips": (2,), "allowed": (3,), "lateness": (1,),
+            "unmodelled": (2,), "acting": (4,), "slips": (2,), "allowed": (5,), "lateness": (1,),
             "soft_bound": (1,), "table_lags": (1, 2), "driven": (1,), "noise": (3,), "error": (3,),
             "walk": (3,),
         }
@@ -234,7 +237,7 @@ class Horizon:
             arrays[name][...] = constants.pop(name)
         numbers: dict[str, Any] = {
             "form": 0, "method": 0, "steady": 0, "delta_max": np.inf, "slip_cap": np.inf,
-            "traction": 0, "soft": 0, "decoupled": 0, "approach": 0,
+            "traction": 0, "soft": 0, "decoupled": 0, "damped": 0, "approach": 0,
         }
         return cls(
             q=q.copy(),

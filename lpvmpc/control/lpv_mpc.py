@@ -223,6 +223,7 @@ def _horizon(
         table=table,
         table_lags=lags,
         decoupled=form.decoupled,
+        damped=form.damped,
         approach=form.approach,
         unknown=LATENCIES - 1 if form.steering and form.lags else 0,
         walk=(WALK if form.noise else np.inf),

@@ -35,8 +35,7 @@ from lpvmpc.control.cost import terminal_weight
 from lpvmpc.control.disturbance import LIMIT, update
 from lpvmpc.control.formulation import EY_MAX
 from lpvmpc.control.qp import condense
-from lpvmpc.control.traction import DRY, hold_brakes, left_for_brakes, pace
-from lpvmpc.control.traction import hold as hold_drive
+from lpvmpc.control.traction import left_now, protect_pace, protect_wheels
 
 NEAR = 0.15
 """A car that is no further beside its path than this is pulled onto it [m]."""
@@ -175,30 +174,14 @@ def write(h, kappa, vx_ref, wheel_speed, friction):
     car = unpack(h.car)
     delay = h.delay + int(h.lateness[0])
     kappa, vx_ref = kappa[delay:], vx_ref[delay:]
-    goal, ay_limit = vx_ref, h.wheels[3]
-    if h.traction and h.decoupled:
-        goal = pace(vx_ref, kappa, friction, h.allowed[2], ay_limit, h.Ts)
+    goal, force, brakes = vx_ref, h.drive[1], -h.drive[0]
+    if h.traction:
+        force, brakes = protect_wheels(h, h.schedule[0, A], wheel_speed, friction)
+        if h.decoupled:
+            goal = protect_pace(h, kappa, vx_ref, friction, h.slip_cap)
+            brakes = min(brakes, left_now(h, friction))
     if h.decoupled:
         kappa = ahead(h, kappa, vx_ref)
-    _, force, _, m_eff = h.drive
-    brakes = -h.drive[0]
-    if h.traction:
-        R_w, half_track, vx_min, _ = h.wheels
-        x, allowed = h.x_last, h.allowed
-        allowed[0] = hold_drive(
-            allowed[0], force / m_eff, h.schedule[0, A], wheel_speed, x[VX], x[R], friction, R_w,
-            half_track, vx_min, h.Ts,
-        )
-        force = m_eff * allowed[0]
-        allowed[1], allowed[2] = hold_brakes(
-            allowed[1], allowed[2], -h.drive[0], h.schedule[0, A], wheel_speed, x[VX], x[R],
-            friction, R_w, half_track, vx_min, h.Ts,
-        )
-        brakes = allowed[1]
-        if friction < DRY and h.decoupled:
-            vx = max(x[VX], vx_min)
-            left = left_for_brakes(vx, x[R] / vx, friction, allowed[2], ay_limit)
-            brakes = min(allowed[1], left)
     freeze(h, kappa, car)
     references(h, kappa, goal, car)
     terminal_weight(h, goal[len(h.plan)], (car.tau_delta, car.tau_ax))
@@ -318,7 +301,10 @@ def shift(h):
     queue[-1] = plan[0]
     prediction[0] = schedule[0]
     for k in range(len(plan)):
-        schedule[k] = prediction[k + 1]
+        newest = 0.5 if h.damped and k + 1 < len(plan) else 1.0
+        for i in range(prediction.shape[1]):
+            before = schedule[k + 1, i] if newest < 1.0 else 0.0
+            schedule[k, i] = newest * prediction[k + 1, i] + (1.0 - newest) * before
         if k + 1 < len(plan):
             plan[k] = plan[k + 1]
     schedule[-1] = prediction[-1]

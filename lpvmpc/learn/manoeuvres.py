@@ -296,7 +296,7 @@ def _controller(name: str) -> Controller:
     # the data shall hold spinning wheels as well.
     full = Formulation(
         decoupled=False, approach=False, steering=False, noise=False, drive_on=False,
-        traction=False,
+        traction=False, damped=False,
     )
     return LPVMPC(car, stiffness=stiffness, formulation=full, weights=NERVOUS_WEIGHTS)
 

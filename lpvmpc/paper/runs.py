@@ -169,6 +169,7 @@ PARTS: dict[str, tuple[str, dict[str, Any], dict[str, Any]]] = {
     "steering": ("learned steering", {"steering": True}, {"steering": False}),
     "drive on": ("driving on unsolved", {"drive_on": True}, {"drive_on": False}),
     "noise": ("observer follows noise", {"noise": True}, {"noise": False}),
+    "damped": ("damped linearisation", {"damped": True}, {"damped": False}),
 }
 """Parts of the formulation in the order in which they are added: what they are, what adds them to
 the plain formulation, what takes them from the full one. Euler holds the paper's one model per

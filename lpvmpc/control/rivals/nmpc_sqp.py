@@ -28,8 +28,7 @@ from lpvmpc.control.rivals.nmpc_model import (
     period,
 )
 from lpvmpc.control.rivals.nmpc_steady import steady
-from lpvmpc.control.traction import FRICTION_MIN, hold_brakes, pace
-from lpvmpc.control.traction import hold as hold_drive
+from lpvmpc.control.traction import FRICTION_MIN, protect_pace, protect_wheels
 from lpvmpc.units import GRAVITY
 
 ELLIPSE = 0.95
@@ -162,22 +161,10 @@ def begin(h, kappa_seen, vx_ref, wheel_speed, model, learned, limits, slip_cap, 
     """
     car, N, friction = model.car, len(us), min(learned[0], 1.0)
     kappa[:] = ahead(h, kappa_seen, vx_ref)
-    _, force, _, m_eff = h.drive
-    goal, brakes = vx_ref, -h.drive[0]
+    goal, force, brakes = vx_ref, h.drive[1], -h.drive[0]
     if limits.protected:
-        R_w, half_track, vx_min, ay_limit = h.wheels
-        goal = pace(vx_ref, kappa_seen, learned[0], h.allowed[2], ay_limit, h.Ts)
-        x, allowed, a = h.x_last, h.allowed, h.schedule[0, A]
-        allowed[0] = hold_drive(
-            allowed[0], force / m_eff, a, wheel_speed, x[VX], x[R], friction, R_w, half_track,
-            vx_min, h.Ts,
-        )
-        force = m_eff * allowed[0]
-        allowed[1], allowed[2] = hold_brakes(
-            allowed[1], allowed[2], -h.drive[0], a, wheel_speed, x[VX], x[R], friction, R_w,
-            half_track, vx_min, h.Ts,
-        )
-        brakes = allowed[1]
+        force, brakes = protect_wheels(h, h.schedule[0, A], wheel_speed, friction)
+        goal = protect_pace(h, kappa_seen, vx_ref, learned[0], slip_cap)
     us[:] = h.plan
     for k in range(N):
         period(
