@@ -70,7 +70,7 @@ def test_an_individual_that_fails_is_told(run, road, monkeypatch):
     ("arguments", "sentence"),
     [
         (["--controller", "mpc"], "Unknown controller 'mpc'; the choices are"),
-        (["--controller", "mine:Mine"], "Unknown controller 'mine:Mine'"),
+        (["--controller", "mine:Mine"], "Controller 'mine:Mine' cannot be imported: there is no"),
         (["--scenario", "papers"], "Unknown scenario 'papers'"),
         (["--worlds", "dry"], "Unknown world 'dry'"),
         (["--seeds", "0"], "--seeds is 0, but must be from 1"),
@@ -85,5 +85,71 @@ def test_an_individual_that_fails_is_told(run, road, monkeypatch):
 )
 def test_bad_options_are_one_sentence(run, arguments, sentence):
     code, _, err = run(*arguments)
+    assert code == 2
+    assert sentence in err and err.count("\n") == 1
+
+
+# A user's class -----------------------------------------------------------------------------------
+
+MINE = """
+from lpvmpc import Command
+
+
+class Mine:
+    RANGES = {"look": (1.0, 30.0), "kp": (0.0, 4.0)}
+
+    def __init__(self, car, weights=None):
+        self.weights = {"look": 20.0, "kp": 1.0, "kept": 7.0, **(weights or {})}
+        self.wheelbase = car.wheelbase
+
+    def reset(self, rng):
+        pass
+
+    def command(self, state, preview):
+        w = self.weights
+        steer = self.wheelbase * preview.kappa[2] - preview.epsi - preview.ey / w["look"]
+        return Command(float(steer), float(w["kp"] * (preview.vx_ref[2] - state.vx)))
+"""
+
+
+def test_a_users_class_is_tuned_over_the_ranges_it_states(run, road, tmp_path):
+    (tmp_path / "mine.py").write_text(MINE)
+    mine = (*SMALL[:-4], "--controller", "mine:Mine", "--worlds", "rtk", "--scenario", road)
+    code, _, err = run(*mine)
+    assert (code, err) == (0, "")
+    file = tmp_path / "runs" / "tune-mine-Mine" / "weights.toml"
+    weights = weights_file.read_weights(file, "mine:Mine")
+    assert weights["kept"] == 7.0 and 1.0 <= weights["look"] <= 30.0 and 0.0 <= weights["kp"] <= 4.0
+    assert weights["look"] != 20.0  # it was searched, and by hand is not the best
+    found = json.loads((file.parent / "tuning.json").read_text())
+    assert found["by_hand"] == {"look": 20.0, "kp": 1.0, "kept": 7.0}
+    assert found["evaluations"] <= found["budget"]
+    assert run(*mine, "--resume")[1].startswith("This tuning is done already")
+    (tmp_path / "mine.py").write_text(MINE.replace("kappa[2]", "kappa[3]"))
+    assert run(*mine, "--resume")[0] == 2  # another class: there is nothing of it to go on from
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("class Mine", "class Yours", "module 'mine' has no class 'Mine'; it has Command, Yours"),
+        ("car, weights=None", "car", "its constructor does not ask for 'weights'"),
+        ("self.weights =", "self.w =", "its attribute 'weights' must be a dataclass or a dict"),
+        ('"kept": 7.0', '"kept": "a lot"', "its weight 'kept' must be a finite number, but is 'a"),
+        ('"kept": 7.0', '"kept": float("nan")', "its weight 'kept' must be a finite"),
+        ("RANGES =", "REACH =", "its 'RANGES' must be a dictionary with the lowest and highest"),
+        ('"kp": (0.0, 4.0)', '"ki": (0.0, 4.0)', "its 'RANGES' name 'ki', which is none of its w"),
+        ("(0.0, 4.0)", "(4.0, 0.0)", "its range of kp must be two numbers in their order, but is"),
+        ("(0.0, 4.0)", "4.0", "its range of kp must be two numbers in their order, but is 4.0"),
+        ("**(weights or {})", '"look": 20.0', "given weights with look = 5.47723 it drives"),
+        ("weights or {}", "weights or 1 / 0", "cannot be made from what controllers are given"),
+    ],
+)
+def test_a_users_class_that_cannot_be_tuned_is_one_sentence(
+    run, road, tmp_path, old, new, sentence
+):
+    assert old in MINE
+    (tmp_path / "mine.py").write_text(MINE.replace(old, new, 1))
+    code, _, err = run(*SMALL, "--scenario", road, "--controller", "mine:Mine")
     assert code == 2
     assert sentence in err and err.count("\n") == 1

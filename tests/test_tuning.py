@@ -28,7 +28,7 @@ def bowl(monkeypatch):
     def cost(self, coordinates):
         low, high = self.space.bounds
         others = self.runs[0].controller_options["weights"]
-        assert set(others) == set(weights_file.as_dict(tuning._by_hand(self.controller)))
+        assert set(others) == set(tuning.stated(self.controller).weights)
         return float(np.sum(np.square((coordinates - low) / (high - low) - 0.4)))
 
     monkeypatch.setattr(driving.DrivingCost, "__call__", cost)
@@ -179,8 +179,8 @@ def test_one_worker_and_two_find_the_same(tmp_path):
 
 def test_weights_that_ended_on_a_bound_are_named(bowl):
     tuned = tune(TASK)
-    low, high = tuning._by_hand("stanley").RANGES["k_e"]
-    inside = {name: math.sqrt(a * b) for name, (a, b) in tuning._by_hand("stanley").RANGES.items()}
+    low, high = tuning.stated("stanley").ranges["k_e"]
+    inside = {name: math.sqrt(a * b) for name, (a, b) in tuning.stated("stanley").ranges.items()}
     for value, named in ((low, True), (0.99 * high, True), (0.8 * high, False)):
         there = replace(tuned, weights={**inside, "k_e": value})
         assert there.on_bounds == (("k_e",) if named else ())

@@ -1,6 +1,7 @@
 """Tune a controller's weights; or show the genetic algorithm that does so on a known function.
 
     lpvmpc tune --controller lpv-mpc
+    lpvmpc tune --controller mine:Mine
     lpvmpc tune --sphere
 
 Prints a table, draws the convergence and writes both beside a Markdown report; weights.toml is what
@@ -35,7 +36,9 @@ SPHERE = ("sphere", "generations", "population", "seed", "out", "json")
 class Options:
     """Tune a controller's weights, with the same budget for every controller."""
 
-    controller: Annotated[str, cli.Option(help=f"{', '.join(CONTROLLERS)}.")] = "lpv-mpc"
+    controller: Annotated[
+        str, cli.Option(help=f"{', '.join(CONTROLLERS)}, or module:Class of your own.")
+    ] = "lpv-mpc"
     scenario: tuple[str, ...] = ()
     """What to tune on (default: two tracks that no result is reported on)."""
     worlds: tuple[str, ...] = ()
@@ -82,6 +85,7 @@ def tune(options: Options) -> int:
     from lpvmpc.kit.workers import workers
     from lpvmpc.sim import batch
     from lpvmpc.tune import tuning, tuning_report
+    from lpvmpc.tune.stated import stated
 
     chosen = {name: getattr(options, name) for name in ("generations", "population", "seeds")}
     task = tuning.Task(
@@ -93,7 +97,9 @@ def tune(options: Options) -> int:
     )
     for name in task.scenarios:  # what cannot be driven is told before anything is
         load_scenario(name, **tuning.TRACKS.get(name, {}))
-    out = cli.results_folder(options.out or Path("runs") / f"tune-{options.controller}")
+    stated(task.controller)
+    name = task.controller.replace(":", "-")
+    out = cli.results_folder(options.out or Path("runs") / f"tune-{name}")
     if options.json is not None:
         cli.writable_folder(options.json.parent)
     if options.resume and not (out / "checkpoint.json").exists() and is_done(task, out):

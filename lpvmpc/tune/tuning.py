@@ -21,8 +21,8 @@ import numpy as np
 
 from lpvmpc.control.registry import CONTROLLERS
 from lpvmpc.control.rivals import RIVALS
-from lpvmpc.control.weights_file import apply, as_dict
 from lpvmpc.errors import LPVMPCError, OptionError, UnknownNameError
+from lpvmpc.kit.files import checksum
 from lpvmpc.sim import batch
 from lpvmpc.sim.names import load_controller
 from lpvmpc.sim.world import load_world
@@ -30,6 +30,7 @@ from lpvmpc.tune import checkpoint as checkpoints
 from lpvmpc.tune import driving, genetic, pso
 from lpvmpc.tune.checkpoint import Result, SearchState
 from lpvmpc.tune.search import Map
+from lpvmpc.tune.stated import is_own, sources, stated
 from lpvmpc.units import Array
 
 TRACKS: dict[str, dict[str, Any]] = {"tuning-a": {"grip": 0.8}, "tuning-b": {}}
@@ -62,7 +63,7 @@ class Task:
     """What decides the outcome of a tuning."""
 
     controller: str = "lpv-mpc"
-    """Name of the controller."""
+    """Name of the controller, or `module:Class`."""
     scenarios: tuple[str, ...] = tuple(TRACKS)
     """Names of scenarios, or CSV files."""
     worlds: tuple[str, ...] = WORLDS
@@ -78,8 +79,8 @@ class Task:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be tuned."""
-        if self.controller not in CONTROLLERS:
-            raise UnknownNameError("controller", self.controller, CONTROLLERS)
+        if not is_own(self.controller) and self.controller not in CONTROLLERS:
+            raise UnknownNameError("controller", self.controller, [*CONTROLLERS, "module:Class"])
         if not self.scenarios:
             raise OptionError("scenarios", self.scenarios, "at least one name")
         if not self.worlds:
@@ -111,6 +112,7 @@ class Task:
             "seed": self.seed,
             "prices": driving.prices(),
             "foundation": batch.foundation(self.controller in RIVALS),
+            **({"module": checksum(list(own))} if (own := sources(self.controller)) else {}),
         }
 
 
@@ -169,13 +171,13 @@ class SearchStage:
 
 def stages(task: Task) -> tuple[SearchStage, ...]:
     """The searches of a task, in their order; together they stay within its budget."""
-    weights = _by_hand(task.controller)
     ranges = {
         name: bounds
-        for name, bounds in weights.RANGES.items()
+        for name, bounds in stated(task.controller).ranges.items()
         if name not in WITHOUT_EFFECT.get(task.controller, ())
     }
-    gains = {name: ranges.pop(name) for name in PID_GAINS if name in ranges}
+    pid = () if is_own(task.controller) else PID_GAINS  # a user's kp may be anything
+    gains = {name: ranges.pop(name) for name in pid if name in ranges}
     if not gains:
         settings = _genetic(task.generations, task.population)
         return (SearchStage("genetic", Space(ranges), settings),)
@@ -188,11 +190,6 @@ def stages(task: Task) -> tuple[SearchStage, ...]:
 
 def _genetic(generations: int, population: int) -> genetic.GeneticSettings:
     return genetic.GeneticSettings(generations=generations, population=population)
-
-
-def _by_hand(controller: str) -> Any:
-    """A controller's weights as set by hand."""
-    return load_controller(controller, weights={}).weights  # type: ignore[attr-defined]
 
 
 # What is driven -----------------------------------------------------------------------------------
@@ -287,7 +284,7 @@ def tune(
         OutputError: It cannot be written.
         LPVMPCError: No individual of a stage could be driven.
     """
-    by_hand = as_dict(_by_hand(task.controller))
+    by_hand = stated(task.controller).weights
     file = None if checkpoint is None else Path(checkpoint)
     states = checkpoints.read(file, task.record()) if resume and file is not None else []
 
@@ -323,7 +320,7 @@ def tune(
             raise LPVMPCError(f"No weights of {task.controller} could be driven: {why}.")
         current |= stage.space.weights(result.best)
         results.append(result)
-    apply(_by_hand(task.controller), current)  # the controller takes them
+    load_controller(task.controller, weights=current)  # the controller takes them
     return Tuned(task=task, by_hand=by_hand, weights=current, results=tuple(results))
 
 

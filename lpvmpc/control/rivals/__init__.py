@@ -38,6 +38,8 @@ RIVALS: dict[str, Rival] = {
     "nmpc-textbook": Rival(
         module="nmpc", maker="TextbookNMPC", packages=("casadi",), extra="nmpc", slow=True
     ),
+    "lpv-mpc-alcala": Rival(module="alcala", maker="Alcala"),
+    "mppi": Rival(module="mppi", maker="MPPI", slow=True),
     "lpv-mpc-protected": Rival(module="forms", maker="lpv_mpc_protected"),
     "lmpc-pso-pid-plain": Rival(module="forms", maker="lmpc_plain"),
 }
