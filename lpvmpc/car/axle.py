@@ -55,7 +55,7 @@ def axles(car: VehicleParams, tire_f: Tire, tire_r: Tire) -> tuple[Axle, Axle]:
         0.5 * weight * car.lr / L,
         -pitch,
         share * moment / car.track_f,
-        0.5 * car.m_eff,
+        0.5 * car.m_eff * car.drive_front,
         0.5 * car.m_eff * car.brake_front,
     )
     rear = Axle(
@@ -63,7 +63,7 @@ def axles(car: VehicleParams, tire_f: Tire, tire_r: Tire) -> tuple[Axle, Axle]:
         0.5 * weight * car.lf / L,
         pitch,
         (1.0 - share) * moment / car.track_r,
-        0.0,
+        0.5 * car.m_eff * (1.0 - car.drive_front),
         0.5 * car.m_eff * (1.0 - car.brake_front),
     )
     return front, rear

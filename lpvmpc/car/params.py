@@ -82,6 +82,8 @@ class VehicleParams:
     """Largest brake force of all four wheels [N]."""
     brake_front: float
     """Share of the brake force on the front axle [-]."""
+    drive_front: float = 1.0
+    """Share of the drive on the front axle [-]: 1 front-driven, 0 rear-driven."""
     ay_limit: float
     """Largest steady lateral acceleration on a 100 m circle, friction scale 1 [m/s2]."""
     vx_min: float
@@ -110,7 +112,9 @@ class VehicleParams:
     def __post_init__(self) -> None:
         """Raise OptionError for a parameter that no car can have."""
         signed = {"x_cy"}
-        may_be_zero = {"trail_f", "trail_r", "c_roll", "CdA", "CyA", "rho_air"}
+        may_be_zero = {
+            "trail_f", "trail_r", "c_roll", "CdA", "CyA", "rho_air", "drive_front",
+        }
         for field in fields(self):
             value = getattr(self, field.name)
             if not math.isfinite(value):
@@ -123,3 +127,5 @@ class VehicleParams:
                 raise OptionError(field.name, value, "positive")
         if self.brake_front >= 1.0:
             raise OptionError("brake_front", self.brake_front, "a share between 0 and 1")
+        if self.drive_front > 1.0:
+            raise OptionError("drive_front", self.drive_front, "a share from 0 to 1")

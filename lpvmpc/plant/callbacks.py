@@ -25,8 +25,19 @@ from lpvmpc.car.aero import aero_wrench
 from lpvmpc.car.tire import Tire
 from lpvmpc.errors import LPVMPCError
 from lpvmpc.plant import structs
-from lpvmpc.plant.mjcf import LAYOUT, NA, NQ, NU, NUMERICS, NUSERDATA, NV, TIRE_LAW
+from lpvmpc.plant.mjcf import (
+    DRIVE_FRONT,
+    LAYOUT,
+    NA,
+    NQ,
+    NU,
+    NUMERICS,
+    NUSERDATA,
+    NV,
+    TIRE_LAW,
+)
 from lpvmpc.plant.structs import chars, doubles, field, ints, longs, offsets
+from lpvmpc.plant.vectors import add, clip, cross, dot, subtract, vector
 
 # Where the numerics of mjcf.NUMERICS begin in numeric_data; those of the tires follow them.
 _SIZES = dict(NUMERICS)
@@ -34,11 +45,12 @@ _ENDS = dict(zip(_SIZES, accumulate(_SIZES.values()), strict=True))
 _STARTS = {name: end - _SIZES[name] for name, end in _ENDS.items()}
 STEERING, POWERTRAIN, AERO = _STARTS["steering"], _STARTS["powertrain"], _STARTS["aero"]
 WHEEL, LOW_SPEED, TIRES = _STARTS["wheel"], _STARTS["low_speed"], sum(_SIZES.values())
+_NEXT = len(NUMERICS) + 2  # number of the numeric after the tires'
 
-# The text that names the law, and the names of the laws, as zero-ended bytes.
+# Names as zero-ended bytes: of what a model may have besides, and of the laws.
+_DRIVE_FRONT = np.frombuffer(DRIVE_FRONT.encode() + b"\0", np.uint8)
 _TIRE_LAW = np.frombuffer(TIRE_LAW.encode() + b"\0", np.uint8)
 _LAWS = np.array([list(law.NAME.encode().ljust(32, b"\0")) for law in tire.LAWS], np.uint8)
-
 
 # Columns of userdata: the friction scale less one (so that a cleared row means normal grip), the
 # derivatives handed from the passive callback to the actuation callback, and the outputs, which
@@ -59,6 +71,8 @@ _M_NQ, _M_NV, _M_NU, _M_NA = _M["nq"], _M["nv"], _M["nu"], _M["na"]
 _M_NUSERDATA, _M_NNUMERICDATA = _M["nuserdata"], _M["nnumericdata"]
 _M_NUMERIC, _M_BODY, _M_DOF_M0 = _M["numeric_data"], _M["dof_bodyid"], _M["dof_M0"]
 _M_NTEXT, _M_TEXT, _M_TEXT_ADR = _M["ntext"], _M["text_data"], _M["text_adr"]
+_M_NNUMERIC, _M_NUMERIC_ADR = _M["nnumeric"], _M["numeric_adr"]
+_M_NAME_NUMERIC = _M["name_numericadr"]
 _M_NAMES, _M_NAME_TEXT = _M["names"], _M["name_textadr"]
 _M_MASS = _M["body_subtreemass"]
 _M_DT = _M["opt"] + offsets("mjOption")["timestep"]
@@ -95,6 +109,16 @@ def _named_law(m):
 
 
 @njit(cache=True)
+def _drive_front(m):
+    """Share of the drive on the front axle; 1 where the model does not say."""
+    if longs(m + _M_NNUMERIC)[0] > _NEXT:
+        name = chars(longs(m + _M_NAMES)[0] + ints(longs(m + _M_NAME_NUMERIC)[0])[_NEXT])
+        if _equal(name, _DRIVE_FRONT):
+            return field(m, _M_NUMERIC)[ints(longs(m + _M_NUMERIC_ADR)[0])[_NEXT]]
+    return 1.0
+
+
+@njit(cache=True)
 def _is_ours(m):
     """Whether the model is a car of this package, so that all fields used below exist."""
     return (
@@ -119,43 +143,13 @@ def ackermann(delta, half_track_over_wheelbase):
 
 
 @njit(cache=True)
-def _vector(p, i):
-    return p[3 * i], p[3 * i + 1], p[3 * i + 2]
-
-
-@njit(cache=True)
-def _cross(a, b):
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-@njit(cache=True)
-def _dot(a, b):
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@njit(cache=True)
-def _add(a, b):
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
-
-
-@njit(cache=True)
-def _subtract(a, b):
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
-
-
-@njit(cache=True)
-def _clip(x, limit):
-    return min(max(x, -limit), limit)
-
-
-@njit(cache=True)
 def _lag_rate(wanted, value, tau, dt):
     """Mean rate over dt of a first-order lag, so that a step of Euler is exact."""
     return (wanted - value) * (-math.expm1(-dt / tau) / dt)
 
 
 @njit(cache=True)
-def _powertrain(p, act, qvel, mass, spin_inertia, out):
+def _powertrain(p, act, qvel, mass, spin_inertia, front, out):
     """Torques of the motor and of all brakes at the wheels [N m].
 
     T = R_w (m + sum(J_w) / R_w^2) ax, limited by the motor's torque and power, or by the brakes.
@@ -164,6 +158,8 @@ def _powertrain(p, act, qvel, mass, spin_inertia, out):
     torque = R_w * (mass + spin_inertia / (R_w * R_w)) * act[1]
     drive = min(max(torque, 0.0), p[POWERTRAIN + 1])
     spin = 0.5 * abs(qvel[8] + qvel[11])
+    if front < 1.0:
+        spin = front * spin + (1.0 - front) * 0.5 * abs(qvel[13] + qvel[15])
     if drive * spin > p[POWERTRAIN + 2]:
         drive = p[POWERTRAIN + 2] / spin
     brake = min(max(-torque, 0.0), p[POWERTRAIN + 3])
@@ -195,8 +191,8 @@ def _tire(p, rubber, wheel, Fz, Vx, Vy, spin, act, dt, out):
     slow = max(1.0 - speed / p[LOW_SPEED], 0.0)  # 1 at standstill, 0 above the low speed
     cap = p[LOW_SPEED + 3] + slow * (p[LOW_SPEED + 2] - p[LOW_SPEED + 3])
     i = 2 + 2 * wheel
-    u = _clip(tire.relax(act[i], Vsx, speed, sigma_x, dt), cap * sigma_x)
-    v = _clip(tire.relax(act[i + 1], Vy, speed, sigma_y, dt), cap * sigma_y)
+    u = clip(tire.relax(act[i], Vsx, speed, sigma_x, dt), cap * sigma_x)
+    v = clip(tire.relax(act[i + 1], Vy, speed, sigma_y, dt), cap * sigma_y)
     out[ACT_DOT + i] = (u - act[i]) / dt
     out[ACT_DOT + i + 1] = (v - act[i + 1]) / dt
 
@@ -226,7 +222,7 @@ def _passive(m, d, law):
     xanchor, xaxis = field(d, _D_XANCHOR), field(d, _D_XAXIS)
 
     # Chassis: origin, axes, velocities in the world.
-    origin = _vector(field(d, _D_XPOS), chassis)
+    origin = vector(field(d, _D_XPOS), chassis)
     xmat = doubles(longs(d + _D_XMAT)[0] + 72 * chassis)
     ex, ey = (xmat[0], xmat[3], xmat[6]), (xmat[1], xmat[4], xmat[7])
     ez = (xmat[2], xmat[5], xmat[8])
@@ -236,21 +232,22 @@ def _passive(m, d, law):
         ex[1] * qvel[3] + ey[1] * qvel[4] + ez[1] * qvel[5],
         ex[2] * qvel[3] + ey[2] * qvel[4] + ez[2] * qvel[5],
     )
-    com = _subtract(_vector(field(d, _D_COM), chassis), origin)
+    com = subtract(vector(field(d, _D_COM), chassis), origin)
 
     # Steering servo with a rate limit, drive and brake: lags of the commands.
     delta_max, rate_max = p[STEERING + 2], p[STEERING + 1]
-    out[ACT_DOT] = _clip(_lag_rate(_clip(ctrl[0], delta_max), act[0], p[STEERING], dt), rate_max)
+    out[ACT_DOT] = clip(_lag_rate(clip(ctrl[0], delta_max), act[0], p[STEERING], dt), rate_max)
     out[ACT_DOT + 1] = _lag_rate(ctrl[1], act[1], p[POWERTRAIN], dt)
     delta_next = act[0] + dt * out[ACT_DOT]
     spin_inertia = (M0[8] + M0[11]) + (M0[13] + M0[15])
-    drive, brake = _powertrain(p, act, qvel, mass, spin_inertia, out)
+    drive_front = _drive_front(m)
+    drive, brake = _powertrain(p, act, qvel, mass, spin_inertia, drive_front, out)
 
     # Geometry from the wheel centres (joints 3, 6, 8 are the spins fl, fr, rl).
-    front_left = _vector(xanchor, 3)
-    wheelbase = _dot(ex, _subtract(front_left, _vector(xanchor, 8)))
-    half_track = 0.5 * _dot(ey, _subtract(front_left, _vector(xanchor, 6)))
-    lf = _dot(ex, _subtract(front_left, origin)) - _dot(ex, com)
+    front_left = vector(xanchor, 3)
+    wheelbase = dot(ex, subtract(front_left, vector(xanchor, 8)))
+    half_track = 0.5 * dot(ey, subtract(front_left, vector(xanchor, 6)))
+    lf = dot(ex, subtract(front_left, origin)) - dot(ex, com)
 
     force = (0.0, 0.0, 0.0)  # of all tires, world
     moment = (0.0, 0.0, 0.0)  # about the chassis origin
@@ -274,10 +271,10 @@ def _passive(m, d, law):
                     8 + 2 * side,
                     13 + 2 * side,
                 )
-            centre = _subtract(_vector(xanchor, spin), origin)
+            centre = subtract(vector(xanchor, spin), origin)
             height = xanchor[3 * spin + 2]
-            axis = _vector(xaxis, spin)  # to the left
-            up = _vector(xaxis, susp)
+            axis = vector(xaxis, spin)  # to the left
+            up = vector(xaxis, susp)
             rate = qvel[dof_susp]
             sliding = (rate * up[0], rate * up[1], rate * up[2])
 
@@ -289,8 +286,8 @@ def _passive(m, d, law):
             shift = height / upright * axis[2]
             contact = (centre[0] + shift * left[0], centre[1] + shift * left[1], -origin[2])
 
-            v = _add(_add(velocity, _cross(omega, contact)), sliding)
-            rise = _add(_add(velocity, _cross(omega, centre)), sliding)[2]
+            v = add(add(velocity, cross(omega, contact)), sliding)
+            rise = add(add(velocity, cross(omega, centre)), sliding)[2]
             Fz = tire.vertical_force(rubber, rubber.c[tire.R0] * upright - height, -rise)
             Vx, Vy = v[0] * ahead[0] + v[1] * ahead[1], v[0] * left[0] + v[1] * left[1]
             Fx, Fy, Mz = _tire(p, rubber, wheel, Fz, Vx, Vy, qvel[dof_spin], act, dt, out)
@@ -301,12 +298,14 @@ def _passive(m, d, law):
             torque = -R_w * Fx
             share = p[POWERTRAIN + 4]
             if axle == 0:
-                torque += 0.5 * drive
+                torque += 0.5 * drive * drive_front
             else:
                 share = 1.0 - share
+                if drive_front < 1.0:
+                    torque += 0.5 * drive * (1.0 - drive_front)
             dry = 0.5 * share * brake + tire.rolling_resistance(rubber) * R_w * Fz
             stopping = M0[dof_spin] * qvel[dof_spin] / dt + torque
-            qfrc[dof_spin] += torque - _clip(stopping, dry)
+            qfrc[dof_spin] += torque - clip(stopping, dry)
 
             # Knuckle: the rack carries the tire's moment about the steering axis (so that is not
             # added here), and moves the knuckle to the servo's angle of the end of the step.
@@ -317,16 +316,16 @@ def _passive(m, d, law):
                 qfrc[dof] += M0[dof] * (gap / dt - qvel[dof]) / dt
 
             on_road = (Fx * ahead[0] + Fy * left[0], Fx * ahead[1] + Fy * left[1], Fz)
-            qfrc[dof_susp] += _dot(up, on_road)
-            axle_force = _add(axle_force, on_road)
-            axle_moment = _add(axle_moment, _add(_cross(contact, on_road), (0.0, 0.0, Mz)))
-        force = _add(force, axle_force)
-        moment = _add(moment, axle_moment)
+            qfrc[dof_susp] += dot(up, on_road)
+            axle_force = add(axle_force, on_road)
+            axle_moment = add(axle_moment, add(cross(contact, on_road), (0.0, 0.0, Mz)))
+        force = add(force, axle_force)
+        moment = add(moment, axle_moment)
 
     # Air, at the centre of mass of the whole car, in axes that only yaw.
     level = math.sqrt(ex[0] * ex[0] + ex[1] * ex[1])
     cos_psi, sin_psi = ex[0] / level, ex[1] / level
-    v = _add(velocity, _cross(omega, com))
+    v = add(velocity, cross(omega, com))
     vx, vy = v[0] * cos_psi + v[1] * sin_psi, v[1] * cos_psi - v[0] * sin_psi
     wind_x = ctrl[2] * cos_psi + ctrl[3] * sin_psi
     wind_y = ctrl[3] * cos_psi - ctrl[2] * sin_psi
@@ -335,16 +334,16 @@ def _passive(m, d, law):
     )
     out[AERO_FX], out[AERO_FY], out[AERO_MZ] = Fx, Fy, Mz
     air = (Fx * cos_psi - Fy * sin_psi, Fx * sin_psi + Fy * cos_psi, 0.0)
-    force = _add(force, air)
-    moment = _add(moment, _add(_cross(com, air), (0.0, 0.0, Mz)))
+    force = add(force, air)
+    moment = add(moment, add(cross(com, air), (0.0, 0.0, Mz)))
 
     # The linear part of a free joint is in the world's frame, the angular part in the body's.
     qfrc[0] += force[0]
     qfrc[1] += force[1]
     qfrc[2] += force[2]
-    qfrc[3] += _dot(ex, moment)
-    qfrc[4] += _dot(ey, moment)
-    qfrc[5] += _dot(ez, moment)
+    qfrc[3] += dot(ex, moment)
+    qfrc[4] += dot(ey, moment)
+    qfrc[5] += dot(ez, moment)
 
     out[AX] = (force[0] * cos_psi + force[1] * sin_psi) / mass
     out[AY] = (force[1] * cos_psi - force[0] * sin_psi) / mass

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from functools import cache
 from importlib import resources
 from pathlib import Path as FilePath
@@ -34,6 +35,8 @@ NUMERICS = (
 """Names and sizes of the <custom> numerics, in the order that the callbacks read."""
 TIRES = ("tire_f", "tire_r")
 """Numerics that follow these: coefficients of the front and the rear tires, as the law has them."""
+DRIVE_FRONT = "drive_front"
+"""Numeric that may follow those: share of the drive on the front axle [-]; without it, all."""
 TIRE_LAW = "tire_law"
 """Name of the <custom> text that names the tire law; without it the law is the first of `LAWS`."""
 
@@ -95,14 +98,34 @@ def compile_model(path: str | FilePath | None = None, *, visual: bool = True) ->
     path = model_path("vehicle") if path is None else FilePath(path)
     if not path.is_file():
         raise ModelError(f"There is no MJCF file {path}.")
+    return _compiled(lambda: mujoco.MjSpec.from_file(str(path)), str(path), visual)
+
+
+def compile_text(xml: str, source: str = "The text", *, visual: bool = False) -> mujoco.MjModel:
+    """Compile the text of an MJCF file that needs no other files, and check that it is our car.
+
+    Args:
+        xml: The text.
+        source: What to call it in messages.
+        visual: As in `compile_model`.
+
+    Raises:
+        ModelError: As `compile_model`.
+    """
+    return _compiled(lambda: mujoco.MjSpec.from_string(xml), source, visual)
+
+
+def _compiled(
+    parse: Callable[[], mujoco.MjSpec], source: str, visual: bool
+) -> mujoco.MjModel:
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
+        spec = parse()
         spec.compiler.discardvisual = not visual
         model = spec.compile()
     except ValueError as error:  # MuJoCo reports schema and compile errors as ValueError
         reason = " ".join(str(error).split())
-        raise ModelError(f"{path} is no valid MJCF file: {reason}") from None
-    check_model(model, str(path))
+        raise ModelError(f"{source} is no valid MJCF file: {reason}") from None
+    check_model(model, source)
     return model
 
 
@@ -137,6 +160,11 @@ def check_model(model: mujoco.MjModel, source: str = "The model") -> None:
                 f"{source} is not a car of this package: its {what} must be "
                 f"{_words(wanted)}, not {_words(found)}."
             )
+    if DRIVE_FRONT in numerics[n + 3 :]:
+        raise ModelError(f"{source} gives {DRIVE_FRONT} elsewhere than right after {TIRES[1]}.")
+    if not 0.0 <= drive_front(model) <= 1.0:
+        raise ModelError(f"{source} gives {drive_front(model):g} for {DRIVE_FRONT}, which must be "
+                         "a share from 0 to 1.")
     if model.numeric_data[0] != LAYOUT:
         raise ModelError(
             f"{source} has layout version {model.numeric_data[0]:g}, but must have {LAYOUT}."
@@ -167,6 +195,12 @@ def _words(items: tuple[object, ...]) -> str:
 def numeric(model: mujoco.MjModel, name: str) -> Array:
     """Copy of the values of a <custom> numeric."""
     return np.array(model.numeric(name).data, dtype=np.float64)
+
+
+def drive_front(model: mujoco.MjModel) -> float:
+    """Share of the drive on the front axle of a compiled model [-]."""
+    there = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, DRIVE_FRONT) >= 0
+    return float(numeric(model, DRIVE_FRONT)[0]) if there else 1.0
 
 
 def tire_law(model: mujoco.MjModel, source: str = "The model") -> int:
@@ -260,6 +294,7 @@ def parameters(model: mujoco.MjModel) -> VehicleParams:
         P_drive_max=power,
         F_brake_max=torque_brake / R_w,
         brake_front=brake_front,
+        drive_front=drive_front(model),
         ay_limit=numeric(model, "ay_limit")[0],
         vx_min=VX_MIN,
     )

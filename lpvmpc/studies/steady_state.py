@@ -9,9 +9,9 @@ import numpy as np
 
 from lpvmpc.kit.findings import Limit, Table
 from lpvmpc.picture import style
+from lpvmpc.plant.limit import RADIUS, largest_lateral_acceleration
 from lpvmpc.plant.plant import Plant
 from lpvmpc.studies.parts.circle import (
-    RADIUS,
     SPEED,
     Steady,
     both_ways,
@@ -19,7 +19,6 @@ from lpvmpc.studies.parts.circle import (
     drivable,
     effective_stiffness,
     fastest_turning_speed,
-    largest_lateral_acceleration,
     levels,
     sideslip_free_speed,
     slope_at_zero,

@@ -13,8 +13,6 @@ from lpvmpc.errors import OptionError
 from lpvmpc.plant.plant import Plant
 from lpvmpc.units import GRAVITY, Array
 
-RADIUS = 100.0
-"""Radius of the circle [m]; ISO 4138's standard one."""
 SPEED = 100.0 / 3.6
 """Speed of the constant-speed test [m/s]."""
 STEP = 0.5
@@ -89,20 +87,6 @@ def both_ways(plant: Plant, points: Iterable[tuple[float, float]]) -> list[Stead
     points = list(points)
     turns = [(vx, -ay) for vx, ay in reversed(points)] + points
     return [steady(plant, vx, ay) for vx, ay in turns]
-
-
-def largest_lateral_acceleration(plant: Plant, precision: float = 0.01) -> float:
-    """Largest lateral acceleration that the car can hold on the circle [m/s2], by bisection."""
-    low, high = 3.0, 2.5 * GRAVITY
-    while high - low > precision:
-        ay = 0.5 * (low + high)
-        try:
-            steady(plant, math.sqrt(ay * RADIUS), ay)
-        except OptionError:
-            high = ay
-        else:
-            low = ay
-    return low
 
 
 def slope_at_zero(x: Sequence[float], y: Sequence[float]) -> float:
