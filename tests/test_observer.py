@@ -72,3 +72,21 @@ def test_the_estimate_is_limited():
     measured = np.full(NX, 100.0)
     learn(estimate, np.zeros(NX), measured, np.ones(3))
     np.testing.assert_array_equal(estimate, disturbance.LIMIT)
+
+
+@pytest.mark.parametrize(
+    ("std", "share"),
+    [((0.0, 0.0, 0.0, 0.0), 1.0), ((0.02, 0.002, 0.004, 0.001), 0.0), ((0.0, 0.0, 0.004, 0.0), 0.0),
+     ((0.0, 0.0, 0.0, 0.001), 0.0)],
+)
+def test_quiet_measurements_are_told_from_noisy_ones(std, share):
+    """Noise of vy [m/s], r [rad/s], ey [m], epsi [rad], all of it or of a single one."""
+    rng = np.random.default_rng(1)
+    estimate, noise, last = np.zeros(3), np.zeros(5), np.zeros(5)
+    for k in range(400):
+        measured = np.zeros(NX)
+        measured[1:5] = std * rng.standard_normal(4)
+        measured[1] += 1e-4 * np.sin(0.1 * k)  # what a model misses is alike from period to period
+        learn(estimate, np.zeros(NX), measured, np.full(3, 0.1), 2.0, noise, last)
+        quiet = disturbance.quiet(np.zeros(NX), measured, noise, last, TS)
+    assert quiet == pytest.approx(share, abs=0.01)

@@ -69,6 +69,8 @@ class Weights:
         "terminal": (0.2, 3.0),
         "observer_gain": (0.03, 0.9),
         "slip_cap": (0.1, 0.2),
+        "calm": (1.0, 20.0),
+        "calm_gain": (0.03, 0.9),
     }
     """Where tuning searches: wide enough that no optimum lies on a bound; a report of a tuning
     names those that do."""
@@ -93,12 +95,17 @@ class Weights:
     """Gain of the disturbance observer, 0 to 1."""
     slip_cap: float = 0.14
     """Largest front slip angle that a command may ask for [rad]."""
+    calm: float = 1.0
+    """Factor on `q_ey` and `q_epsi` where the measurements are free of noise."""
+    calm_gain: float = 0.35
+    """Gain of the disturbance observer there; no less than `observer_gain` is used."""
 
     def __post_init__(self) -> None:
         """Refuse what no cost can mean."""
         check_weights(self)
-        if self.observer_gain > 1.0:
-            raise OptionError("weight observer_gain", self.observer_gain, "a number from 0 to 1")
+        for name in ("observer_gain", "calm_gain"):
+            if getattr(self, name) > 1.0:
+                raise OptionError(f"weight {name}", getattr(self, name), "a number from 0 to 1")
         if self.slip_cap < 0.01:
             raise OptionError("weight slip_cap", self.slip_cap, "at least 0.01 rad")
         for name in ("r_delta", "r_ax"):
@@ -245,6 +252,8 @@ def terminal_weight(h, vx, lags):
     while k < n - 2 and SPEEDS[k + 1] < vx:
         k += 1
     share = min(max((vx - SPEEDS[k]) / (SPEEDS[k + 1] - SPEEDS[k]), 0.0), 1.0)
+    loud = len(table) // 2 if h.calm != 1.0 else 0  # where the weights for quiet ones begin
+    quiet = h.quiet[1] if h.calm != 1.0 else 0.0
     for servo in range(2):
         first, between = 0, 0.0
         known = h.table_lags[:, servo]
@@ -258,14 +267,24 @@ def terminal_weight(h, vx, lags):
             for j in range(NZ):
                 # the drive's lag is that of the speed and what drives it, on a straight road alone
                 if (_drives(i) and _drives(j)) == (servo == 1):
-                    value = (1.0 - share) * table[near, i, j] + share * table[near + 1, i, j]
-                    if between > 0.0:
-                        more = (1.0 - share) * table[far, i, j] + share * table[far + 1, i, j]
-                        value = (1.0 - between) * value + between * more
+                    value = _between(table, near, far, i, j, share, between)
+                    if quiet > 0.0:
+                        calm = _between(table, near + loud, far + loud, i, j, share, between)
+                        value += quiet * (calm - value)
                     weight[i, j] = value
     for i in range(NX):
         z_ref[i] = x_ref[i]
     z_ref[NX], z_ref[NX + 1] = x_ref[DELTA], x_ref[A]
+
+
+@njit(cache=True)
+def _between(table, near, far, i, j, share, between):
+    """An entry of the table, linear between speeds and between lags."""
+    value = (1.0 - share) * table[near, i, j] + share * table[near + 1, i, j]
+    if between > 0.0:
+        more = (1.0 - share) * table[far, i, j] + share * table[far + 1, i, j]
+        value = (1.0 - between) * value + between * more
+    return value
 
 
 @njit(cache=True)

@@ -55,11 +55,21 @@ class Horizon:
     """Reference of the states at steps 1..N, shape (N, nx)."""
     q: Array
     """Diagonal weights of the states at steps 1..N, shape (N, nx)."""
+    q_noisy: Array
+    """The same where the measurements are noisy, shape (N, nx)."""
+    calm: float
+    """Factor on the weights of ey and epsi where they are not; 1: no difference is made."""
+    calm_gain: float
+    """Gain of the observer there."""
+    quiet: Array
+    """How free of noise the measurements are, 0 to 1: for the observer, and for the weights, where
+    a late command counts as well; shape (2,)."""
     r_du: Array
     """Diagonal weights of the inputs' increments, shape (nu,)."""
     table: Array
     """Terminal weights, at each of `cost.SPEEDS` for one of `table_lags` after the other, shape
-    (16 n_lags, nx + nu, nx + nu)."""
+    (16 n_lags, nx + nu, nx + nu); where `calm` is not 1, those for quiet measurements after them,
+    as many."""
     table_lags: Array
     """Lags of steering and drive that the terminal weights are for [s], shape (n_lags, 2)."""
     terminal: Array
@@ -154,9 +164,9 @@ class Horizon:
     """Mean slip angles of the axles in it [rad], shape (2,)."""
     noise: Array
     """Variance of what the observer sees from one period to the next, squared units of the
-    disturbance, shape (3,)."""
+    disturbance, and that of ey and epsi, as rates, shape (5,)."""
     error: Array
-    """What the observer saw in the period before, shape (3,)."""
+    """What the observer saw in the period before, shape (5,)."""
     walk: Array
     """How far a disturbance is believed to move within a second, shape (3,); infinite: as far as
     the gain lets it."""
@@ -226,8 +236,8 @@ class Horizon:
             "queue": (delay + unknown + 1, 2), "x_last": (ns,), "kappa_last": (1,),
             "predicted": (ns,), "inner": (5,), "gain": (3,), "disturbance": (3,),
             "unmodelled": (2,), "acting": (4,), "slips": (2,), "allowed": (5,), "lateness": (1,),
-            "soft_bound": (1,), "table_lags": (1, 2), "driven": (1,), "noise": (3,), "error": (3,),
-            "walk": (3,),
+            "soft_bound": (1,), "table_lags": (1, 2), "driven": (1,), "noise": (5,), "error": (5,),
+            "walk": (3,), "quiet": (2,),
         }
         if "table_lags" in constants:
             shapes["table_lags"] = np.shape(constants["table_lags"])
@@ -237,10 +247,12 @@ class Horizon:
             arrays[name][...] = constants.pop(name)
         numbers: dict[str, Any] = {
             "form": 0, "method": 0, "steady": 0, "delta_max": np.inf, "slip_cap": np.inf,
-            "traction": 0, "soft": 0, "decoupled": 0, "damped": 0, "approach": 0,
+            "traction": 0, "soft": 0, "decoupled": 0, "damped": 0, "approach": 0, "calm": 1.0,
+            "calm_gain": 0.0,
         }
         return cls(
             q=q.copy(),
+            q_noisy=q.copy(),
             r_du=r_du.copy(),
             du_max=du_max.copy(),
             scale=scale.copy(),
@@ -257,6 +269,7 @@ class Horizon:
         for array in (
             self.plan, self.prediction, self.schedule, self.knots, self.queue, self.x_last,
             self.kappa_last, self.inner, self.disturbance, self.lateness, self.noise, self.error,
+            self.quiet,
         ):
             array[...] = 0.0
         self.allowed[:] = np.inf

@@ -18,6 +18,7 @@ from lpvmpc.car.bicycle import (
     AR,
     CORRECTED,
     DELTA,
+    EPSI,
     EY,
     NU,
     NX,
@@ -202,12 +203,17 @@ def _horizon(
     steady = form.reference == "steady"
     nominal = np.array([bicycle.tau_delta, bicycle.tau_ax])
     lags = nominal * (TABLE_LAGS if form.steering and form.lags else TABLE_LAGS[:1])
+    calm = weights.calm if form.noise else 1.0
+    quiet = q[0] * np.where(np.isin(np.arange(NX), (EY, EPSI)), calm, 1.0)
     table = np.zeros((len(SPEEDS) * len(lags), NZ, NZ))
     if weights.terminal > 0.0 and steady:
         axle_forces = np.array([car.Cf, 0.0, car.Cr, 0.0])
         cars = [bicycle._replace(tau_delta=float(lag), tau_ax=float(slow)) for lag, slow in lags]
-        costs = [cost_to_go(one, axle_forces, q[0], r_du, Ts) for one in cars]
+        levels = [q[0]] if calm == 1.0 else [q[0], quiet]
+        costs = [cost_to_go(one, axle_forces, at, r_du, Ts) for at in levels for one in cars]
         table = weights.terminal * np.concatenate(costs)
+    elif calm != 1.0:
+        table = np.concatenate([table, table])
     return Horizon.allocated(
         N,
         NX,
@@ -224,6 +230,8 @@ def _horizon(
         table_lags=lags,
         decoupled=form.decoupled,
         damped=form.damped,
+        calm=calm,
+        calm_gain=weights.calm_gain if form.observer else 0.0,
         approach=form.approach,
         unknown=LATENCIES - 1 if form.steering and form.lags else 0,
         walk=(WALK if form.noise else np.inf),

@@ -32,7 +32,7 @@ from lpvmpc.car.bicycle import (
 )
 from lpvmpc.car.hold import EULER, hold
 from lpvmpc.control.cost import terminal_weight
-from lpvmpc.control.disturbance import LIMIT, update
+from lpvmpc.control.disturbance import LIMIT, quiet, update
 from lpvmpc.control.formulation import EY_MAX
 from lpvmpc.control.qp import condense
 from lpvmpc.control.traction import left_now, protect_pace, protect_wheels
@@ -182,6 +182,10 @@ def write(h, kappa, vx_ref, wheel_speed, friction):
             brakes = min(brakes, left_now(h, friction))
     if h.decoupled:
         kappa = ahead(h, kappa, vx_ref)
+    if h.calm != 1.0:
+        for k in range(len(h.plan)):
+            for i in (EY, EPSI):
+                h.q[k, i] = h.q_noisy[k, i] * (1.0 + (h.calm - 1.0) * h.quiet[1])
     freeze(h, kappa, car)
     references(h, kappa, goal, car)
     terminal_weight(h, goal[len(h.plan)], (car.tau_delta, car.tau_ax))
@@ -289,7 +293,14 @@ def compare(h, x, kappa, ax):
     h.driven[0] = ax + x[R] * x[VY] - others
     for i in range(A, NX):
         h.inner[i - A] = x[i] = predicted[i]
-    update(disturbance, predicted, x, h.gain, LIMIT, h.walk, h.noise, h.error, h.Ts)
+    gain = h.gain
+    if h.calm != 1.0:
+        gain = gain + h.quiet[0] * np.maximum(h.calm_gain - gain, 0.0)
+    update(disturbance, predicted, x, gain, LIMIT, h.walk, h.noise, h.error, h.Ts)
+    if h.calm != 1.0:
+        h.quiet[0] = quiet(predicted, x, h.noise, h.error, h.Ts)
+        # a command that comes late must not be a hard one
+        h.quiet[1] = h.quiet[0] / (1.0 + h.delay + h.lateness[0])
 
 
 @njit(cache=True)

@@ -1,0 +1,29 @@
+"""Hard weights where measurements are quiet, soft ones where they are noisy."""
+
+import numpy as np
+import pytest
+
+from lpvmpc import Plant, load_controller, load_scenario, simulate
+from lpvmpc.car.bicycle import EPSI, EY
+
+
+def horizon(world="ideal", delay=0):
+    """Where the controller stands after a lane change."""
+    controller = load_controller("lpv-mpc", delay=delay)
+    simulate(Plant(), controller, load_scenario("double-lane-change"), world=world, delay=delay)
+    return controller.horizon, controller.weights
+
+
+@pytest.mark.parametrize(("world", "share"), [("ideal", 1.0), ("rtk", 0.0)])
+def test_the_weights_follow_the_noise_of_the_world(world, share):
+    h, weights = horizon(world)
+    assert h.quiet == pytest.approx([share, share], abs=0.03)
+    factor = 1.0 + (weights.calm - 1.0) * h.quiet[1]
+    np.testing.assert_allclose(h.q[:, [EY, EPSI]], factor * h.q_noisy[:, [EY, EPSI]])
+    others = [i for i in range(h.q.shape[1]) if i not in (EY, EPSI)]
+    np.testing.assert_array_equal(h.q[:, others], h.q_noisy[:, others])
+
+
+def test_a_command_that_comes_late_is_no_hard_one():
+    h, _ = horizon(delay=3)
+    assert h.quiet[1] == pytest.approx(h.quiet[0] / 4.0)
