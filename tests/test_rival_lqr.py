@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from lpvmpc.control.cost import Weights
+from lpvmpc.control.cost import SHARED_RANGES
 from lpvmpc.control.rivals.lqr import PREVIEW, LQRWeights, regulate
 from lpvmpc.interface import State
 from lpvmpc.plant.plant import Plant
@@ -60,7 +60,7 @@ def test_what_it_asks_for_stays_within_the_bounds():
 
 
 def test_it_has_the_weights_of_lpv_mpc_without_the_terminal_one():
-    assert set(Weights.RANGES) - set(LQRWeights.RANGES) == {"terminal"}
+    assert set(SHARED_RANGES) - set(LQRWeights.RANGES) == {"terminal"}
     assert load_controller("lqr", weights={"q_ey": 7.0}).weights == LQRWeights(q_ey=7.0)
 
 

@@ -115,6 +115,8 @@ class Weights:
                 )
 
 
+SHARED_RANGES = {k: v for k, v in Weights.RANGES.items() if not k.startswith("calm")}
+"""Where tuning searches for controllers whose weights do not follow the noise."""
 NERVOUS_WEIGHTS = Weights(
     q_vx=30.0, q_vy=0.0, q_r=0.0, q_ey=80.0, q_epsi=80.0, r_delta=0.05, r_ax=0.04, terminal=1.0,
     observer_gain=0.3, slip_cap=0.14,

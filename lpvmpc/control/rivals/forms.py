@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, ClassVar
 
 from lpvmpc.car.params import VehicleParams
-from lpvmpc.control.cost import PAPER_WEIGHTS, Weights
+from lpvmpc.control.cost import PAPER_WEIGHTS, SHARED_RANGES, Weights
 from lpvmpc.control.formulation import PAPER, Formulation, changed
 from lpvmpc.control.lmpc import LMPC, LMPCWeights
 from lpvmpc.control.lpv_mpc import LPVMPC
@@ -31,7 +31,7 @@ PROTECTED = replace(
 class ProtectedWeights(Weights):
     """The weights of `lpv-mpc-protected`: those of `lpv-mpc-paper`, and a stiffness factor."""
 
-    RANGES: ClassVar[dict[str, tuple[float, float]]] = {**Weights.RANGES, "stiffness": (0.3, 1.5)}
+    RANGES: ClassVar[dict[str, tuple[float, float]]] = {**SHARED_RANGES, "stiffness": (0.3, 1.5)}
     """Where tuning searches."""
 
     stiffness: float = 1.0

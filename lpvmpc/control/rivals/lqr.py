@@ -34,7 +34,7 @@ from numba import njit
 
 from lpvmpc.car.bicycle import DELTA, NU, NX, A
 from lpvmpc.car.params import VehicleParams
-from lpvmpc.control.cost import NZ, Weights
+from lpvmpc.control.cost import NZ, SHARED_RANGES, Weights
 from lpvmpc.control.formulation import Formulation
 from lpvmpc.control.lpv_mpc import LPVMPC
 from lpvmpc.control.solver.checked import QPResult
@@ -50,7 +50,7 @@ class LQRWeights(Weights):
     """Everything of `LQR` that is tuned; units and meaning are those of `cost.Weights`."""
 
     RANGES: ClassVar[dict[str, tuple[float, float]]] = {
-        name: ends for name, ends in Weights.RANGES.items() if name != "terminal"
+        name: ends for name, ends in SHARED_RANGES.items() if name != "terminal"
     }
     """Where tuning searches; the cost-to-go has no factor here."""
 

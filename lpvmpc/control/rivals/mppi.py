@@ -28,7 +28,7 @@ from numba import njit
 
 from lpvmpc.car.bicycle import AF, AR, DELTA, EPSI, EY, NU, NX, VX, VY, A, R, unpack
 from lpvmpc.car.params import VehicleParams
-from lpvmpc.control.cost import NZ, Weights
+from lpvmpc.control.cost import NZ, SHARED_RANGES, Weights
 from lpvmpc.control.formulation import Formulation
 from lpvmpc.control.lpv_mpc import LPVMPC
 from lpvmpc.control.period import ahead
@@ -55,7 +55,7 @@ class MPPIWeights(Weights):
     """Everything of `MPPI` that is tuned; what it shares with `cost.Weights` means the same."""
 
     RANGES: ClassVar[dict[str, tuple[float, float]]] = {
-        **Weights.RANGES,
+        **SHARED_RANGES,
         "spread_delta": (0.0005, 0.02),
         "spread_ax": (0.02, 2.0),
         "temperature": (0.005, 0.5),

@@ -42,6 +42,7 @@ from lpvmpc.car.params import VehicleParams
 from lpvmpc.car.tire import Tire
 from lpvmpc.control.cost import (
     NZ,
+    SHARED_RANGES,
     SPEEDS,
     Weights,
     cost_to_go,
@@ -79,7 +80,7 @@ class NMPCWeights(Weights):
     """Everything of `NMPC` that is tuned; units and meaning are those of `cost.Weights`."""
 
     RANGES: ClassVar[dict[str, tuple[float, float]]] = {
-        **Weights.RANGES,
+        **SHARED_RANGES,
         "terminal": (0.5, 20.0),
         "slip_cap": (0.1, 0.3),
     }
