@@ -25,6 +25,7 @@ COMMANDS = {
     "fidelity": "run the fidelity studies of the simulated car",
     "reliability": "try wrong inputs, damaged files, roads nobody tuned for",
     "reproduce": "put the paper's numbers and figures beside ours",
+    "solvers": "have other QP solvers solve the programs of our laps",
     "speed": "measure how fast the package is on this machine",
 }
 """Commands by name, in the order of the help. Each is the module of its name, with underscores."""

@@ -106,6 +106,9 @@ class Options:
     step_timeout: float | None = None
     """Longest time of one call of the controller, or of your own estimator, compiling included,
     before the run is given up [s] (default: 60 for your own, no limit for the package's)."""
+    solver: str | None = None
+    """Who solves the QPs of lpv-mpc and lpv-mpc-paper first: proxqp (default), or active-set, which
+    is faster at the same checks; lpvmpc solvers compares more of them."""
     isolate: bool = False
     """Let the controller live in a process of its own: what it does there reaches neither plant nor
     record, hangs in compiled code end in time, and its memory is limited (1.5 GiB)."""
@@ -209,7 +212,8 @@ def scenario_options(options: Options) -> dict[str, Any]:
 def controller_options(options: Options, own: bool) -> dict[str, Any]:
     """What a controller is made with; a user's own is told the delay where it asks for it."""
     if own:
-        for name, value in (("--weights", options.weights), ("--stiffness", options.stiffness)):
+        for name, value in (("--weights", options.weights), ("--stiffness", options.stiffness),
+                            ("--solver", options.solver)):
             if value is not None:
                 raise LPVMPCError(f"{name} is {str(value)!r}, but the controller "
                                   f"{options.controller!r} is your own: it has only what its "
@@ -218,6 +222,8 @@ def controller_options(options: Options, own: bool) -> dict[str, Any]:
     from lpvmpc.control.weights_file import read_weights
 
     known: dict[str, Any] = {"delay": options.delay, "stiffness": options.stiffness}
+    if options.solver is not None:
+        known["solver"] = options.solver
     if options.weights is not None:
         known["weights"] = read_weights(options.weights, options.controller)
     return known

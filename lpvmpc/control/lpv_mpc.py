@@ -92,6 +92,7 @@ class LPVMPC(Tracker):
         weights: Weights | Mapping[str, float] | None = None,
         formulation: Formulation | None = None,
         delay: int = 0,
+        solver: str = "proxqp",
     ) -> None:
         """Build the controller.
 
@@ -101,9 +102,11 @@ class LPVMPC(Tracker):
             weights: Cost weights, or some of them by name; the shipped ones by default.
             formulation: Parts of the controller; the full one by default.
             delay: Known delay between command and effect [periods], compensated by prediction.
+            solver: Who solves the QPs first, see `QPSolver`.
 
         Raises:
             OptionError: A value outside its domain.
+            UnknownNameError: No such solver.
         """
         delay = checked_delay(delay)
         self.formulation = form = formulation if formulation is not None else Formulation()
@@ -116,7 +119,8 @@ class LPVMPC(Tracker):
         self._learn = getattr(stiffness, "learn", None)  # a model that adapts to the road
         learned = (steering_of, drive_of) if form.steering and form.lags else ()
         self.banks = [ServoBank(servo(car), form.Ts, delay) for servo in learned]
-        super().__init__(car, _horizon(car, self.bicycle, form, self.weights, delay))
+        horizon = _horizon(car, self.bicycle, form, self.weights, delay)
+        super().__init__(car, horizon, solver=solver)
         if form.decoupled and form.traction:
             self.preview_steps += LOOK_AHEAD
 
@@ -258,10 +262,13 @@ def adaptive(
     weights: Weights | Mapping[str, float] | None = None,
     formulation: Formulation | Mapping[str, Any] | None = None,
     delay: int = 0,
+    solver: str = "proxqp",
 ) -> LPVMPC:
     """The controller `lpv-mpc`: every part, or what `formulation` leaves of them."""
     form = changed(Formulation(), formulation)
-    return LPVMPC(car, stiffness=stiffness, weights=weights, formulation=form, delay=delay)
+    return LPVMPC(
+        car, stiffness=stiffness, weights=weights, formulation=form, delay=delay, solver=solver
+    )
 
 
 def plain(
@@ -271,6 +278,7 @@ def plain(
     weights: Weights | Mapping[str, float] | None = None,
     formulation: Formulation | Mapping[str, Any] | None = None,
     delay: int = 0,
+    solver: str = "proxqp",
 ) -> LPVMPC:
     """The controller `lpv-mpc-paper`: the paper's plain formulation, constant stiffness."""
     return LPVMPC(
@@ -279,4 +287,5 @@ def plain(
         weights=chosen("lpv-mpc-paper", weights, PAPER_WEIGHTS),
         formulation=changed(PAPER, formulation),
         delay=delay,
+        solver=solver,
     )

@@ -66,13 +66,23 @@ class Tracker:
     informed: bool | None
     """Whether the period before was measured; None before the first measured one."""
 
-    def __init__(self, car: VehicleParams, horizon: Horizon, tolerance: float = 1e-6) -> None:
+    def __init__(
+        self,
+        car: VehicleParams,
+        horizon: Horizon,
+        tolerance: float = 1e-6,
+        solver: str = "proxqp",
+    ) -> None:
         """Build the controller.
 
         Args:
             car: Vehicle parameters.
             horizon: Arrays and constants of a period.
             tolerance: KKT tolerance of the QP.
+            solver: Who solves it first, one of `solver.checked.SOLVERS`.
+
+        Raises:
+            UnknownNameError: No such solver.
         """
         self.car, self.horizon = car, horizon
         self.Np, self.Ts = len(horizon.plan), horizon.Ts
@@ -83,7 +93,7 @@ class Tracker:
         """Periods of preview needed: the horizon, and the longest delay before it begins. A
         controller may ask for more than it needs."""
         rows, columns = horizon.C.shape
-        self.solver = QPSolver(columns, rows, tolerance)
+        self.solver = QPSolver(columns, rows, tolerance, first=solver)
         self._warm_up()
 
     # what a subclass says -----------------------------------------------------------------

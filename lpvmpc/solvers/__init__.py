@@ -1,0 +1,1 @@
+"""Other solvers on the QPs of our laps: recorded, solved, and checked by us."""
