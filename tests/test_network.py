@@ -166,7 +166,7 @@ def test_tangents_are_exact_at_the_operating_point(tire, car, prediction):
     spin = 2.0 * car.J_w / car.R_w**2
     ay = 15.0 * 0.2
     ax, Fxf, Fxr = network.longitudinal(
-        -1.0, 15.0, 0.05, ay, bicycle.Bicycle.of(car), car.m_eff, car.brake_front, spin
+        -1.0, 15.0, 0.05, ay, bicycle.Bicycle.of(car), car.m_eff, 1.0, car.brake_front, spin
     )
     for k in range(10):
         alpha_f = 0.5 * (prediction[k, AF] + prediction[k + 1, AF])
@@ -197,7 +197,7 @@ def test_drive_and_brake_forces_are_the_plants(plant, car):
         axles, spin = plant.axles, 2.0 * car.J_w / car.R_w**2
         ax, Fxf, Fxr = network.longitudinal(
             plant.data.act[1], state.vx, 0.0, 0.0, bicycle.Bicycle.of(car), car.m_eff,
-            car.brake_front, spin,
+            car.drive_front, car.brake_front, spin,
         )
         # 2 % of the force and 30 N: loads still move while the body pitches
         assert ax == pytest.approx(state.ax, abs=0.05)

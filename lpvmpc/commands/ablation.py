@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lpvmpc.commands.parts.batches import driver, prepare, wrapped
+from lpvmpc.commands.parts.the_car import CarPlace, with_car
 from lpvmpc.kit import cli
 from lpvmpc.kit.progress import Bar
 from lpvmpc.kit.report import write_report
@@ -42,10 +43,12 @@ class Options:
     """Folder for ablation.md, .csv, .json and .png (default: docs/results)."""
     cache: Path = Path("runs/ablation")
     """Folder where results are kept, emptied unless --resume is given."""
+    car: CarPlace = None
     json: Path | None = None
     """Write the values to this file as well."""
 
 
+@with_car(out="runs/{car}/ablation", cache="runs/{car}/ablation/kept")
 def main(options: Options) -> int:
     """Drive, print, save; returns the exit code."""
     cli.check_number("--jobs", options.jobs, 0, 1024)

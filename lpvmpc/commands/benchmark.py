@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from lpvmpc.commands.parts.batches import driver, interleaved, jobs_of, prepare, wrapped
+from lpvmpc.commands.parts.the_car import CarPlace, with_car
 from lpvmpc.errors import OptionError, UnknownNameError
 from lpvmpc.kit import cli
 from lpvmpc.kit.files import write_text
@@ -53,6 +54,7 @@ class Options:
     """Folder for benchmark.md, .html, .csv, .json, rows and pictures (default: docs/results)."""
     cache: Path = Path("runs/benchmark")
     """Folder where results are kept, emptied unless --resume is given."""
+    car: CarPlace = None
     json: Path | None = None
     """Write the values to this file as well."""
     verify: Path | None = None
@@ -65,6 +67,7 @@ class Options:
     """Address of the Ray cluster (default: Ray decides, and starts one here)."""
 
 
+@with_car(out="runs/{car}/benchmark", cache="runs/{car}/benchmark/kept")
 def main(options: Options) -> int:
     """Drive, print, save; returns the exit code."""
     cli.check_number("--jobs", options.jobs, 0, 1024)

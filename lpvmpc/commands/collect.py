@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from lpvmpc.commands.parts.batches import jobs_of
+from lpvmpc.commands.parts.the_car import CarPlace, with_car
 from lpvmpc.errors import OptionError
 from lpvmpc.kit import cli
 from lpvmpc.kit.progress import Bar
@@ -46,8 +47,10 @@ class Options:
     """Where manoeuvres are driven: processes of this machine, or a Ray cluster."""
     address: Annotated[str | None, cli.Option(metavar="ADDR")] = None
     """Address of the Ray cluster (default: Ray decides, and starts one here)."""
+    car: CarPlace = None
 
 
+@with_car(out="data/{car}.parquet")
 def main(options: Options) -> int:
     """Collect, summarise; returns the exit code."""
     cli.check_number("--jobs", options.jobs, 0, 1024)

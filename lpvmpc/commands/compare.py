@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from lpvmpc.commands.parts.the_car import CarPlace, with_car
 from lpvmpc.control.registry import CONTROLLERS
 from lpvmpc.errors import LPVMPCError, OptionError, RenderError
 from lpvmpc.kit import cli
@@ -61,10 +62,12 @@ class Options:
     """Folder for the results (default: runs/SCENARIO-CONTROLLER-vs-CONTROLLER)."""
     render: bool = False
     """Make a video of up to four, videos/SCENARIO-CONTROLLER-vs-CONTROLLER.mp4."""
+    car: CarPlace = None
     json: Path | None = None
     """Write the metrics of all to this file as well."""
 
 
+@with_car()
 def main(options: Options) -> int:
     """Drive, print, save; returns the exit code."""
     check(options)
@@ -79,7 +82,9 @@ def main(options: Options) -> int:
     for sentence in scenario.warnings:
         print("Warning:", sentence, file=sys.stderr)
     made = {name: load(name, options.delay) for name in options.controllers}
-    title = re.sub(r"[^\w.-]+", "-", f"{scenario.name}-{'-vs-'.join(options.controllers)}")
+    whose = f"-{options.car.stem}" if options.car else ""
+    title = f"{scenario.name}-{'-vs-'.join(options.controllers)}{whose}"
+    title = re.sub(r"[^\w.-]+", "-", title)
     out = cli.results_folder(options.out or Path("runs") / title)
     video = None
     if options.render:

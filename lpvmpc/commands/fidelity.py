@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from lpvmpc.commands.parts.the_car import CarPlace, with_car
 from lpvmpc.errors import UnknownNameError
 from lpvmpc.kit import cli
 from lpvmpc.kit.files import replacing, write_json
@@ -44,6 +45,7 @@ class Options:
     """Processes that run studies at the same time; 0 for one per core."""
     out: Path | None = None
     """Folder of the report (default: docs/results for all studies, else runs/fidelity)."""
+    car: CarPlace = None
     json: Path | None = None
     """Write figures, limits and verdicts to this file as well."""
     broken: Annotated[
@@ -55,6 +57,7 @@ class Options:
     ] = None
 
 
+@with_car(out="runs/{car}/fidelity")
 def main(options: Options) -> int:
     """Run, print, save; returns the exit code."""
     cli.check_number("--jobs", options.jobs, 0, 1024)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lpvmpc.commands.parts.the_car import CarPlace, with_car
 from lpvmpc.errors import RenderError
 from lpvmpc.kit import cli
 from lpvmpc.kit.markdown import markdown_table
@@ -52,10 +53,12 @@ class Options:
     """A look instead of a measurement: one round on a short road."""
     out: Path = Path("docs/results")
     """Folder for speed.md, speed.csv and speed.json."""
+    car: CarPlace = None
     json: Path | None = None
     """Write the values to this file as well."""
 
 
+@with_car(out="runs/{car}/speed")
 def main(options: Options) -> int:
     """Measure, print, save; returns the exit code."""
     cli.check_number("--rounds", options.rounds, 1, 100)

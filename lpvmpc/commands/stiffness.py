@@ -12,6 +12,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+from lpvmpc.commands.parts.the_car import CarPlace, with_car
 from lpvmpc.kit import cli
 
 KINDS = ("network", "network-secant")
@@ -31,10 +32,12 @@ class Options:
     out: Path = Path("docs/results")
     """Folder for stiffness.md, stiffness.csv and stiffness.json; the networks of other seeds are
     looked for in network/ and network-secant/ below it."""
+    car: CarPlace = None
     json: Path | None = None
     """Write the values to this file as well."""
 
 
+@with_car(out="runs/{car}/stiffness")
 def main(options: Options) -> int:
     """Drive, compare, save; returns the exit code."""
     cli.check_number("--seeds", options.seeds, 1, 1000)

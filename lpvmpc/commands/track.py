@@ -16,6 +16,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from lpvmpc.commands.parts.the_car import CarPlace, with_car
 from lpvmpc.commands.parts.track_table import print_table
 from lpvmpc.control.registry import CONTROLLERS, STIFFNESS_MODELS
 from lpvmpc.errors import LPVMPCError, OptionError, RenderError
@@ -112,10 +113,12 @@ class Options:
     isolate: bool = False
     """Let the controller live in a process of its own: what it does there reaches neither plant nor
     record, hangs in compiled code end in time, and its memory is limited (1.5 GiB)."""
+    car: CarPlace = None
     json: Path | None = None
     """Write the metrics to this file as well."""
 
 
+@with_car()
 def main(options: Options) -> int:
     """Drive, print, save; returns the exit code."""
     check(options)
@@ -136,7 +139,9 @@ def main(options: Options) -> int:
         warn_of_another_car(controller, plant)
     if options.isolate:
         controller = Isolated(options.controller, **given)
-    name = re.sub(r"[^\w.-]+", "-", f"{scenario.name}-{options.controller}")
+    name = re.sub(r"[^\w.-]+", "-", "-".join(
+        [scenario.name, options.controller, *([options.car.stem] if options.car else [])]
+    ))
     for sentence in scenario.warnings:
         print("Warning:", sentence, file=sys.stderr)
     out = cli.results_folder(options.out or Path("runs") / name)
@@ -219,13 +224,14 @@ def controller_options(options: Options, own: bool) -> dict[str, Any]:
                                   f"{options.controller!r} is your own: it has only what its "
                                   "constructor sets.")
         return {"delay": options.delay}
-    from lpvmpc.control.weights_file import read_weights
+    from lpvmpc.control.weights_file import check_car, read_weights
 
     known: dict[str, Any] = {"delay": options.delay, "stiffness": options.stiffness}
     if options.solver is not None:
         known["solver"] = options.solver
     if options.weights is not None:
         known["weights"] = read_weights(options.weights, options.controller)
+        check_car(options.weights)
     return known
 
 

@@ -18,7 +18,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from lpvmpc.errors import LPVMPCError, OptionError
+from lpvmpc.commands.parts.the_car import CarPlace, folder_of, with_car
+from lpvmpc.errors import DataError, LPVMPCError, OptionError
 from lpvmpc.kit import cli
 from lpvmpc.kit.files import replacing
 from lpvmpc.kit.progress import Bar
@@ -35,7 +36,8 @@ class Options:
     data: Path = Path("data/stiffness.parquet")
     """Data from data_gen/collect.py."""
     out: Path | None = None
-    """Weights file (default: data/network.safetensors or data/network-secant.safetensors)."""
+    """Weights file (default: network.safetensors or network-secant.safetensors in the folder of
+    --car, or in data/)."""
     preset: Literal["default", "paper"] = "default"
     """Ours, or the paper's network and training."""
     epochs: int | None = None
@@ -48,8 +50,10 @@ class Options:
     """Further data, of another friction, on which R2 is told."""
     resume: bool = False
     """Go on with an interrupted training."""
+    car: CarPlace = None
 
 
+@with_car(data="data/{car}.parquet")
 def main(options: Options) -> int:
     """Train, evaluate, save; returns the exit code."""
     cli.check_number("--seed", options.seed, 0, 2**62)
@@ -67,7 +71,8 @@ def main(options: Options) -> int:
         raise LPVMPCError("Training needs torch; pip install 'lpvmpc[train]' brings it.") from None
 
     preset = train.preset(options.preset, options.epochs)
-    out = options.out or Path("data") / f"{preset.kind}.safetensors"
+    folder = folder_of(options.car) or Path("data")
+    out = options.out or folder / f"{preset.kind}.safetensors"
     if out.suffix != ".safetensors":
         raise OptionError("--out", str(out), "a file name ending in .safetensors")
     data = dataset.read(options.data)
@@ -102,7 +107,12 @@ def main(options: Options) -> int:
 
 
 def check_car(data: Dataset) -> Any:
-    """The car's parameters; a line on stderr where the data are of another car."""
+    """The car's parameters; a line on stderr where the data are of another car.
+
+    Raises:
+        DataError: They are of another car than that of --car.
+    """
+    from lpvmpc.car.current import current
     from lpvmpc.plant.mjcf import car_sha256, compile_model, parameters
 
     model = compile_model(visual=False)
@@ -110,6 +120,12 @@ def check_car(data: Dataset) -> Any:
         print("Warning: the data have no checksum, so damage to them cannot be told.",
               file=sys.stderr)
     if data.meta.get("car_sha256") != car_sha256(model):
+        if (car := current()) is not None:
+            told = str(data.meta.get("car_sha256"))[:12]
+            raise DataError(
+                f"The data were collected with a car of hash {told}, but {car} has "
+                f"{car.sha256[:12]}; lpvmpc collect --car {car} collects its own."
+            )
         print("Warning: the data were collected with another vehicle.xml.", file=sys.stderr)
     return parameters(model)
 

@@ -18,10 +18,11 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+from lpvmpc.commands.parts.the_car import CarPlace, folder_of, with_car
 from lpvmpc.control.registry import CONTROLLERS
 from lpvmpc.errors import OptionError
 from lpvmpc.kit import cli
-from lpvmpc.kit.files import write_json
+from lpvmpc.kit.files import write_json, write_text
 
 if TYPE_CHECKING:
     from lpvmpc.tune.checkpoint import SearchState
@@ -64,10 +65,12 @@ class Options:
     """Seed of the search; with --sphere the first of 30."""
     out: Path | None = None
     """Folder for the results (default: runs/tune-CONTROLLER; with --sphere docs/results)."""
+    car: CarPlace = None
     json: Path | None = None
     """Write the values to this file as well."""
 
 
+@with_car()
 def main(options: Options) -> int:
     """Check the options, do the work, save; returns the exit code."""
     cli.check_number("--generations", options.generations, 1, 10_000)
@@ -99,7 +102,8 @@ def tune(options: Options) -> int:
         load_scenario(name, **tuning.TRACKS.get(name, {}))
     stated(task.controller)
     name = task.controller.replace(":", "-")
-    out = cli.results_folder(options.out or Path("runs") / f"tune-{name}")
+    whose = f"-{options.car.stem}" if options.car else ""
+    out = cli.results_folder(options.out or Path("runs") / f"tune-{name}{whose}")
     if options.json is not None:
         cli.writable_folder(options.json.parent)
     if options.resume and not (out / "checkpoint.json").exists() and is_done(task, out):
@@ -129,6 +133,9 @@ def tune(options: Options) -> int:
     if options.json is not None:
         write_json(options.json, tuning_report.as_json(tuned, before, after))
     (out / "checkpoint.json").unlink()
+    if (folder := folder_of(options.car)) is not None:
+        own = cli.writable_folder(folder / "weights") / f"{name}.toml"
+        write_text(own, (out / "weights.toml").read_text(encoding="utf-8"))
     print_result(tuned, before, after)
     print(f"Saved {out}/ ({', '.join(file.name for file in files)})")
     return cli.DONE

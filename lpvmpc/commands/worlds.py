@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from lpvmpc.commands.parts.batches import driver, jobs_of, prepare, wrapped
+from lpvmpc.commands.parts.the_car import CarPlace, with_car
 from lpvmpc.errors import OptionError
 from lpvmpc.kit import cli
 from lpvmpc.kit.progress import Bar
@@ -57,6 +58,7 @@ class Options:
     """Folder for worlds.md, .csv, .json and .png (default: docs/results)."""
     cache: Path = Path("runs/worlds")
     """Folder where results are kept, emptied unless --resume is given."""
+    car: CarPlace = None
     json: Path | None = None
     """Write the values to this file as well."""
     backend: Literal["local", "ray"] = "local"
@@ -65,6 +67,7 @@ class Options:
     """Address of the Ray cluster (default: Ray decides, and starts one here)."""
 
 
+@with_car(out="runs/{car}/worlds", cache="runs/{car}/worlds/kept")
 def main(options: Options) -> int:
     """Drive, print, save; returns the exit code."""
     cli.check_number("--jobs", options.jobs, 0, 1024)

@@ -88,7 +88,8 @@ class Horizon:
     """Largest braking [m/s2], drive force [N], power [W], mass with the wheels' spin [kg]."""
     wheels: Array
     """Wheel radius [m], half the front track [m], smallest speed at which slip means something
-    [m/s], largest lateral acceleration on a dry road [m/s2]; for traction control."""
+    [m/s], largest lateral acceleration on a dry road [m/s2], share of the drive on the front axle;
+    for traction control."""
     traction: int
     """Whether there is traction control."""
     u_lo: Array
@@ -228,7 +229,7 @@ class Horizon:
         shapes: dict[str, tuple[int, ...]] = {
             "Ad": (N, nx, nx), "Bd": (N, nx, nu), "cd": (N, nx), "axle_forces": (n, 4),
             "x_ref": (N, nx), "terminal": (z, z), "z_ref": (z,), "slack_weights": (2,),
-            "drive": (4,), "wheels": (4,), "u_lo": (N, nu), "u_hi": (N, nu),
+            "drive": (4,), "wheels": (5,), "u_lo": (N, nu), "u_hi": (N, nu),
             "free": (N, nx), "forced": (N, nx, N * nu), "H": (columns, columns),
             "g": (columns,), "C": (rows, columns), "lo": (rows,), "hi": (rows,),
             "plan": (N, 2), "prediction": (N + 1, ns), "schedule": (N + 1, ns),

@@ -245,7 +245,7 @@ def _horizon(
         du_max=np.array([min(DELTA_STEP_PAPER, car.delta_rate_max * Ts)]),
         slip_cap=weights.slip_cap if form.slip_cap else np.pi,
         drive=(car.ax_min, car.F_drive_max, car.P_drive_max, car.m_eff),
-        wheels=(car.R_w, 0.5 * car.track_f, car.vx_min, car.ay_limit),
+        wheels=(car.R_w, 0.5 * car.track_f, car.vx_min, car.ay_limit, car.drive_front),
         traction=form.traction,
         soft=EY,
         soft_every=form.span,

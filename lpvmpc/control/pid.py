@@ -139,7 +139,7 @@ class ProtectedPID:
         self._last = vx
         common = state.wheel_speed, vx, state.r, 1.0, *self._wheels, Ts
         self._most = traction.hold(
-            self._most, car.F_drive_max / car.m_eff, self._driven, *common
+            self._most, car.F_drive_max / car.m_eff, self._driven, *common, car.drive_front
         )
         self._least, self._holds = traction.hold_brakes(
             self._least, self._holds, -car.ax_min, self._driven, *common

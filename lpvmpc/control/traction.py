@@ -51,7 +51,9 @@ CAUTION = 0.85
 
 
 @njit(cache=True)
-def hold(allowed, most, a, wheel_speed, vx, r, friction, R_w, half_track, vx_min, Ts):
+def hold(
+    allowed, most, a, wheel_speed, vx, r, friction, R_w, half_track, vx_min, Ts, drive_front=1.0
+):
     """Largest acceleration to ask for, so that no driven wheel spins.
 
     Where the wheel speeds tell more slip than `SLIP_RATIO` times the friction, less than what is
@@ -69,13 +71,18 @@ def hold(allowed, most, a, wheel_speed, vx, r, friction, R_w, half_track, vx_min
         half_track: Half the front track [m].
         vx_min: Speed below which slip means nothing [m/s].
         Ts: Control period [s].
+        drive_front: Share of the drive on the front axle [-]; without one, the rear wheels tell.
 
     Returns:
         The acceleration [m/s2].
     """
     turn = half_track * r
-    left = wheel_speed[0] * R_w / max(vx - turn, vx_min)
-    right = wheel_speed[1] * R_w / max(vx + turn, vx_min)
+    first = 0 if drive_front > 0.0 else 2
+    left = wheel_speed[first] * R_w / max(vx - turn, vx_min)
+    right = wheel_speed[first + 1] * R_w / max(vx + turn, vx_min)
+    if 0.0 < drive_front < 1.0:
+        left = max(left, wheel_speed[2] * R_w / max(vx - turn, vx_min))
+        right = max(right, wheel_speed[3] * R_w / max(vx + turn, vx_min))
     slip = max(left, right) - 1.0
     allowed = min(allowed + RELEASE * Ts, most)
     bound = SLIP_RATIO * min(max(friction, FRICTION_MIN), 1.0)
@@ -244,11 +251,12 @@ def protect_wheels(h, a, wheel_speed, friction):
     Returns:
         Force of the drive [N], and braking, positive [m/s2].
     """
-    R_w, half_track, vx_min, ay_limit = h.wheels
+    R_w, half_track, vx_min, ay_limit, drive_front = h.wheels
     ax_min, force, _, m_eff = h.drive
     allowed, vx, r = h.allowed, h.x_last[VX], h.x_last[R]
     allowed[0] = hold(
-        allowed[0], force / m_eff, a, wheel_speed, vx, r, friction, R_w, half_track, vx_min, h.Ts
+        allowed[0], force / m_eff, a, wheel_speed, vx, r, friction, R_w, half_track, vx_min, h.Ts,
+        drive_front,
     )
     before = allowed[2]
     allowed[1], allowed[2] = hold_brakes(

@@ -20,13 +20,14 @@ from __future__ import annotations
 
 import json
 import os
+import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, fields, replace
-from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Any, TypeVar
 
+from lpvmpc.car.current import current, per_car
 from lpvmpc.errors import DataError, OptionError
 from lpvmpc.kit.files import checksum, read_toml, write_text
 
@@ -169,10 +170,39 @@ def shipped(controller: str, by_hand: WeightsT) -> WeightsT:
     return apply(by_hand, _shipped(controller), f"{controller}.toml")
 
 
-@cache
+@per_car
 def _shipped(controller: str) -> dict[str, float]:
     file = shipped_file(controller)
+    if (car := current()) is not None and car.folder is not None:
+        own = car.folder / "weights" / f"{controller}.toml"
+        if own.is_file():
+            check_car(own)
+            return read_weights(own, controller)
+        if file.exists():
+            warnings.warn(
+                f"No weights of {controller} were tuned on {car}; those tuned on the packaged car "
+                "are used.", stacklevel=2,
+            )
     return read_weights(file, controller) if file.exists() else {}
+
+
+def check_car(file: str | os.PathLike[str]) -> None:
+    """Refuse weights that were tuned on another car than the one that is meant.
+
+    Args:
+        file: A readable weights file; one whose record names no car is of the packaged one.
+
+    Raises:
+        DataError: They were.
+    """
+    car, record = current(), read_toml(file).get("record", {})
+    told = str(record.get("car_sha256", "")) if isinstance(record, dict) else ""
+    if car is not None and told != car.sha256:
+        whose = f"a car of hash {told[:12]}" if told else "the packaged car"
+        raise DataError(
+            f"The weights {os.fspath(file)!r} were tuned on {whose}, but {car} has "
+            f"{car.sha256[:12]}; lpvmpc tune --car {car} makes its own."
+        )
 
 
 def chosen(

@@ -8,10 +8,10 @@ anybody else: its run is ended and charged, and the others go on.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lpvmpc.car.current import per_car
 from lpvmpc.errors import LPVMPCError, described
 from lpvmpc.kit.workers import check, workers
 from lpvmpc.plant import deviations
@@ -102,7 +102,7 @@ def outcome(item: tuple[str, Run]) -> tuple[str, dict[str, Any]]:
     return key, {**metrics(log), **details(log)}
 
 
-@cache
+@per_car
 def _plant() -> Plant:
     """The car of this process; `simulate` resets it."""
     from lpvmpc.plant.plant import Plant

@@ -14,7 +14,7 @@ import math
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -22,6 +22,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from lpvmpc.car.current import per_car
 from lpvmpc.errors import DataError, LPVMPCError, OptionError
 from lpvmpc.kit.files import read_json, whole, write_json, writing
 from lpvmpc.kit.provenance import model_sha256, versions
@@ -283,7 +284,7 @@ def _received(folder: Path, sent: tuple[int, bytes]) -> int:
     return shard
 
 
-@lru_cache(maxsize=1)  # compiling and loading take as long as a shard
+@per_car  # compiling and loading take as long as a shard
 def _filler(plan: Plan) -> SlotFiller:
     """The filler of this process."""
     return SlotFiller(plan)

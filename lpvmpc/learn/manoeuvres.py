@@ -11,11 +11,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from lpvmpc.car.current import per_car
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.errors import OptionError
 from lpvmpc.interface import Command, State, declared
@@ -264,7 +264,7 @@ def lap(rng, car, friction, severity, Ts):
     return Start(float(speed.at(begin)), x, y, psi), Lap(driver, path, speed, begin, Ts)
 
 
-@cache
+@per_car
 def _track(name: str) -> tuple[Path, Array, Array, Array]:
     """Path, knots and speeds at the full lateral grip, and arc lengths of straight places."""
     from lpvmpc.sim.names import load_scenario
@@ -277,7 +277,7 @@ def _track(name: str) -> tuple[Path, Array, Array, Array]:
     return path, s, np.asarray(scenario.speed.at(s)) / math.sqrt(0.75), straight
 
 
-@cache
+@per_car
 def _controller(name: str) -> Controller:
     """One of `LAP_FORMULATIONS`, with weights set by hand and constant stiffness.
 

@@ -10,14 +10,15 @@
 
 Whatever is made for a car says in itself for which: `provenance.json` under `car_sha256`, a network
 in its metadata, weights in their record. A vehicle.xml that was changed since is refused; so are a
-network and weights of another car (`lpvmpc.sim.cars`). A model file alone is a car too, for which
+network and weights of another car. A model file alone is a car too, for which
 nothing was made.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
@@ -25,6 +26,7 @@ from typing import Any
 
 import mujoco
 
+from lpvmpc.car.current import PLACE, SHA256, current
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.car.tire import Tire
 from lpvmpc.errors import DataError, ModelError
@@ -81,13 +83,16 @@ def read_car(place: str | os.PathLike[str] | None = None) -> Car:
     """The car of a folder, or of a model file.
 
     Args:
-        place: A folder as above, or an MJCF file (default: the packaged car).
+        place: A folder as above, or an MJCF file (default: the car of `driving`, or the packaged
+            one).
 
     Raises:
         ModelError: There is no such folder or file, it holds no car of this package, or its
             vehicle.xml is not the one that its files were made for.
         DataError: provenance.json is missing or damaged.
     """
+    if place is None and (meant := current()) is not None:
+        place = meant.place
     if place is None:
         file = model_path("vehicle")
         return Car(name=PACKAGED, file=file, folder=None, model=compile_model(file, visual=False))
@@ -194,4 +199,32 @@ def _provenance(folder: Path) -> dict[str, Any]:
 @cache
 def packaged_sha256() -> str:
     """Hash of the packaged car."""
-    return car_sha256(compile_model(visual=False))
+    return car_sha256(compile_model(model_path("vehicle"), visual=False))
+
+
+@contextmanager
+def driving(place: str | os.PathLike[str] | None) -> Iterator[Car]:
+    """Mean this car wherever none is named, here and in processes that are started meanwhile.
+
+    `Plant()`, `load_controller`, `load_scenario`, data, networks, weights and kept results are then
+    its own: what was made for another car is refused.
+
+    Args:
+        place: As `read_car` takes it; None: what is meant anyway.
+
+    Raises:
+        ModelError, DataError: As `read_car`.
+    """
+    car = read_car(place)
+    before = {name: os.environ.get(name) for name in (PLACE, SHA256)}
+    if place is not None:
+        os.environ[PLACE] = str((car.folder or car.file).resolve())
+        os.environ[SHA256] = car.sha256
+    try:
+        yield car
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value

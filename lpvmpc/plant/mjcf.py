@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from functools import cache
 from importlib import resources
 from pathlib import Path as FilePath
 
@@ -12,6 +11,7 @@ import mujoco
 import numpy as np
 
 from lpvmpc.car import tire
+from lpvmpc.car.current import current, per_car
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.car.tire import LAWS, MAGIC_FORMULA, Tire
 from lpvmpc.errors import ModelError, UnknownNameError
@@ -89,13 +89,16 @@ def compile_model(path: str | FilePath | None = None, *, visual: bool = True) ->
     """Compile an MJCF file and check that it is our car.
 
     Args:
-        path: file (default: the packaged models/vehicle.xml).
+        path: file (default: that of `--car`, or the packaged models/vehicle.xml).
         visual: keep what is only drawn; without it a step is a little faster and the same.
 
     Raises:
         ModelError: the file cannot be read or compiled, or is not a car of this package.
     """
-    path = model_path("vehicle") if path is None else FilePath(path)
+    if path is None:
+        meant = current()
+        path = model_path("vehicle") if meant is None else meant.file
+    path = FilePath(path)
     if not path.is_file():
         raise ModelError(f"There is no MJCF file {path}.")
     return _compiled(lambda: mujoco.MjSpec.from_file(str(path)), str(path), visual)
@@ -301,9 +304,9 @@ def parameters(model: mujoco.MjModel) -> VehicleParams:
     return VehicleParams(**{name: float(value) for name, value in values.items()})
 
 
-@cache
+@per_car
 def packaged_car() -> VehicleParams:
-    """Parameters of the packaged car, models/vehicle.xml.
+    """Parameters of the car that is meant where none is named: models/vehicle.xml, or `--car`'s.
 
     Raises:
         ModelError: the file is broken; the installation is damaged.

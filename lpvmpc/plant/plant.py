@@ -59,7 +59,8 @@ class Plant:
         """Load the car.
 
         Args:
-            model: MJCF file or compiled model (default: the packaged models/vehicle.xml).
+            model: MJCF file or compiled model (default: the car of `--car`, or the packaged
+                models/vehicle.xml).
             friction: scale of the road's peak friction, one number or one per wheel.
             Ts: control period [s].
             timestep: physics step [s] (default: the model's); it must divide Ts.

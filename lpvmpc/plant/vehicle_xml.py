@@ -120,7 +120,7 @@ def car_of(file: CarFile) -> tuple[str, list[str]]:
         OptionError: A number outside its domain, or numbers that no car can have together.
         DataError: A tire file cannot be read.
     """
-    base = compile_model(visual=False)
+    base = compile_model(model_path("vehicle"), visual=False)
     numbers, defaults = file.completed(numbers_of(base))
     own = tires_of(base)
     loads = static_loads(numbers)

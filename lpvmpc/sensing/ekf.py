@@ -379,7 +379,9 @@ def _constants(car: VehicleParams, sensing: Sensing, Ts: float) -> Array:
         return max(channel.noise, least) ** 2
 
     braking = (1.0 - car.brake_front) * car.m_eff * car.wheelbase
-    slip = braking / (SLIP_STIFFNESS * car.m * GRAVITY * car.lf)
+    stiffness = SLIP_STIFFNESS * car.m * GRAVITY * car.lf
+    slip = braking / stiffness
+    driven = (1.0 - car.drive_front) * car.m_eff * car.wheelbase / stiffness
     wheel = max(car.R_w * sensing.wheel_speed.noise / math.sqrt(2.0), 0.005)
     values = [
         T, variance(sensing.r, 1e-4), max(variance(sensing.ax, 0.01), variance(sensing.ay, 0.01)),
@@ -388,7 +390,7 @@ def _constants(car: VehicleParams, sensing: Sensing, Ts: float) -> Array:
         (SCALE_WALK**2 * T if _speed_channel(sensing).scale_range else 0.0),
         *markov(sensing.position), *markov(sensing.psi), float(sensing.lane),
         variance(sensing.position, 1e-3), variance(sensing.psi, 1e-4),
-        variance(sensing.vx, 1e-3), variance(sensing.vy, 1e-3), wheel**2, slip, ALONG**2,
+        variance(sensing.vx, 1e-3), variance(sensing.vy, 1e-3), wheel**2, slip, ALONG**2, driven,
     ]
     assert C_WALK_R == 3 and C_WALK_A == 4  # the order of `strapdown`
     return np.array(values)

@@ -27,9 +27,10 @@ N = 12
 (
     C_T, C_GYRO, C_ACC, C_WALK_R, C_WALK_A, C_WALK_SCALE, C_KEEP_P, C_STIR_P, C_KEEP_PSI,
     C_STIR_PSI, C_LANE, C_POS, C_HEADING, C_SPEED, C_LATERAL, C_WHEEL, C_SLIP, C_ALONG,
-) = range(18)
-"""Columns of the constants: variances, except T [s], KEEP (factors), LANE (0 or 1) and SLIP (slip
-of the rear wheels per m/s2 of braking)."""
+    C_DRIVEN,
+) = range(19)
+"""Columns of the constants: variances, except T [s], KEEP (factors), LANE (0 or 1) and SLIP and
+DRIVEN (slip of the rear wheels per m/s2 of braking and of driving)."""
 MEMORY = 1.0 / 15.0
 """Share of the newest innovation in the running mean: half a second at 30 Hz."""
 OUTLIER = 3.0
@@ -256,7 +257,8 @@ def correct_speed(x, P, z, c, h, gain):
     if math.isfinite(z[0]):
         speed, variance = z[0], c[C_SPEED]
     else:
-        slip = c[C_SLIP] * min(z[3], 0.0)  # negative: a braked wheel turns slower
+        # negative: a braked wheel turns slower
+        slip = c[C_SLIP] * min(z[3], 0.0) + c[C_DRIVEN] * max(z[3], 0.0)
         doubt = (0.5 * slip) ** 2 + ROLLING**2
         speed = z[2] * (1.0 - slip)
         variance = c[C_WHEEL] + doubt * x[VX] ** 2 * 2.0 * CORRELATED / c[C_T]

@@ -12,11 +12,12 @@ import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import cache, lru_cache
+from functools import lru_cache
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lpvmpc.car.current import current, per_car
 from lpvmpc.control.rivals import RIVALS
 from lpvmpc.errors import LPVMPCError, OptionError, described
 from lpvmpc.kit.files import checksum, read_json, write_json
@@ -150,13 +151,17 @@ class Run:
                 yield source
 
 
-@cache
 def foundation(rival: bool = False) -> str:
-    """Hash of what every run stands on: sources, weights, data, the model's XML, versions.
+    """Hash of what every run stands on: sources, weights, data, the model's XML, versions, car.
 
     Args:
         rival: Whether one of `RIVALS` drives, on whom no other controller's runs depend.
     """
+    return _foundation(rival)
+
+
+@per_car
+def _foundation(rival: bool) -> str:
     digest = hashlib.sha256(json.dumps(versions(), sort_keys=True).encode())
     package = Path(str(resources.files("lpvmpc")))
     apart = package / APART
@@ -172,7 +177,17 @@ def foundation(rival: bool = False) -> str:
     if rival:
         used = sorted({package for one in RIVALS.values() for package in one.packages})
         digest.update(json.dumps(versions_of(used), sort_keys=True).encode())
+    if (car := current()) is not None:
+        for file in (car.file, *made_for(car.folder)):
+            digest.update(file.name.encode() + b"\0" + file.read_bytes() + b"\0")
     return digest.hexdigest()
+
+
+def made_for(folder: Path | None) -> list[Path]:
+    """Networks and weights in a car's folder."""
+    if folder is None:
+        return []
+    return sorted([*folder.glob("*.safetensors"), *folder.glob("weights/*.toml")])
 
 
 def drive(run: Run) -> Log:
@@ -205,7 +220,8 @@ def scenario_of(run: Run) -> Scenario:
     track = Path(run.scenario)
     written = track.stat().st_mtime_ns if run.scenario.endswith(".csv") and track.exists() else 0
     options = json.dumps(dict(run.scenario_options), sort_keys=True)
-    scenario = _scenario(run.scenario, options, written)
+    meant = current()
+    scenario = _scenario(run.scenario, options, written, meant.sha256 if meant else None)
     if run.road == 1.0:
         return scenario
     announced = 1.0 if scenario.friction is None else scenario.friction(0.0)
@@ -217,12 +233,12 @@ def scenario_of(run: Run) -> Scenario:
 
 
 @lru_cache(maxsize=16)  # planning a speed takes as long as driving a tenth of the road
-def _scenario(name: str, options: str, written: int) -> Scenario:
+def _scenario(name: str, options: str, written: int, car: str | None) -> Scenario:
     """A scenario; `written` is the time of the track file, which may be edited meanwhile."""
     return load_scenario(name, **json.loads(options))
 
 
-@cache
+@per_car
 def _plant() -> Plant:
     """The car of this process; `simulate` resets it."""
     from lpvmpc.plant.plant import Plant

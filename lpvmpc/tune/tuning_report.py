@@ -7,6 +7,7 @@ from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lpvmpc.car.current import current
 from lpvmpc.control.weights_file import write_weights
 from lpvmpc.kit.files import replacing, write_json, write_picture, write_text
 from lpvmpc.kit.markdown import markdown_table
@@ -133,6 +134,8 @@ def save(
         "cost_is": driving.RISK,
         "lpvmpc": versions()["lpvmpc"],
     }
+    if (car := current()) is not None:
+        record["car_sha256"] = car.sha256
     with replacing(folder, names) as new:
         weights, md, values, table, picture = (new / name for name in names)
         write_weights(weights, task.controller, tuned.weights, record)

@@ -308,7 +308,7 @@ def _horizon(
         # the servo's rate; the drive has only its lag
         du_max=np.array([min(DELTA_STEP_PAPER, car.delta_rate_max * TS)]),
         drive=(car.ax_min, car.F_drive_max, car.P_drive_max, car.m_eff),
-        wheels=(car.R_w, 0.5 * car.track_f, car.vx_min, car.ay_limit),
+        wheels=(car.R_w, 0.5 * car.track_f, car.vx_min, car.ay_limit, car.drive_front),
         scale=SCALE,
         gain=0.0 if textbook else weights.observer_gain,
     )

@@ -137,19 +137,20 @@ def axle_force(axle, alpha, Fx, ax, roll, friction, norm, net, z):
 
 
 @njit(cache=True)
-def longitudinal(a, vx, delta, ay, car, m_eff, brake_front, inertia):
+def longitudinal(a, vx, delta, ay, car, m_eff, drive_front, brake_front, inertia):
     """Acceleration of the car and drive or brake force of the axles, from the drive's.
 
     m_eff ax = m_eff a - c_roll m g - k_drag vx^2 - Fyf sin(delta),  Fyf as in steady cornering;
     Fx of an axle is its share of m_eff a, less what spins its wheels and rolls its tires.
 
     Args:
-        a: Drive (front wheels) or brake (`brake_front`) acceleration [m/s2].
+        a: Drive (`drive_front`) or brake (`brake_front`) acceleration [m/s2].
         vx: Speed [m/s].
         delta: Steering angle [rad].
         ay: Lateral acceleration [m/s2].
         car: `Bicycle` constants.
         m_eff: Mass with the wheels' spin [kg].
+        drive_front: Share of the drive on the front axle [-].
         brake_front: Share of the brake force on the front axle [-].
         inertia: Spin inertia of an axle's wheels over the radius squared [kg].
 
@@ -160,7 +161,7 @@ def longitudinal(a, vx, delta, ay, car, m_eff, brake_front, inertia):
     drag = car.c_roll * car.m * GRAVITY + car.k_drag * vx * vx
     cornering = car.m * ay * car.lr / L * math.sin(delta)
     ax = a - (drag + cornering) / m_eff
-    share = 1.0 if a > 0.0 else brake_front
+    share = drive_front if a > 0.0 else brake_front
     spin = inertia * ax
     roll_f = car.c_roll * car.m * (GRAVITY * car.lr - ax * car.h) / L
     roll_r = car.c_roll * car.m * (GRAVITY * car.lf + ax * car.h) / L
@@ -169,7 +170,8 @@ def longitudinal(a, vx, delta, ay, car, m_eff, brake_front, inertia):
 
 @njit(cache=True)
 def along(
-    x, Ts, friction, scale_f, scale_r, constants, m_eff, brake_front, inertia, norm, net, z, tires
+    x, Ts, friction, scale_f, scale_r, constants, m_eff, drive_front, brake_front, inertia, norm,
+    net, z, tires,
 ):
     """Affine axle forces in the middle of each interval of a prediction, in place.
 
@@ -180,7 +182,8 @@ def along(
         scale_f: Scale of the front axle's stiffness: its force is that of so many times the slip.
         scale_r: The same of the rear axle.
         constants: `Bicycle` as an array, shape (17,).
-        m_eff: See `longitudinal`, also for brake_front, inertia.
+        m_eff: See `longitudinal`, also for drive_front, brake_front, inertia.
+        drive_front: As above.
         brake_front: As above.
         inertia: As above.
         norm: `normalisation`, shape (2, 5).
@@ -198,7 +201,9 @@ def along(
         vy, r = 0.5 * (x[k, VY] + x[k + 1, VY]), 0.5 * (x[k, R] + x[k + 1, R])
         delta, a = 0.5 * (x[k, DELTA] + x[k + 1, DELTA]), 0.5 * (x[k, A] + x[k + 1, A])
         ay = vx * r + (x[k + 1, VY] - x[k, VY]) / Ts
-        ax, Fxf, Fxr = longitudinal(a, vx, delta, ay, car, m_eff, brake_front, inertia)
+        ax, Fxf, Fxr = longitudinal(
+            a, vx, delta, ay, car, m_eff, drive_front, brake_front, inertia
+        )
         roll = car.m * car.h * ay
         if car.K_phi > 0.0:
             roll = 0.5 * car.K_phi * (x[k, PHI] + x[k + 1, PHI])
@@ -283,7 +288,9 @@ class NetworkTire:
         """Scales of the axles' stiffness that are assumed, front and rear."""
         self._constants = np.array(bicycle.Bicycle.of(car))
         self.Ts = Ts
-        self._spin = (car.m_eff, car.brake_front, 2.0 * car.J_w / car.R_w**2)
+        self._spin = (
+            car.m_eff, car.drive_front, car.brake_front, 2.0 * car.J_w / car.R_w**2
+        )
         self._z = np.zeros(N_EVEN)
         self.reset()
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from lpvmpc.car.current import current
 from lpvmpc.errors import DataError, OptionError
 from lpvmpc.kit import safetensors
 
@@ -43,20 +44,35 @@ def shipped(kind: str) -> Path:
     return Path(str(resources.files("lpvmpc.control") / "weights" / f"{kind}.safetensors"))
 
 
+def made_for_the_car(kind: str) -> Path:
+    """File of the weights of the car that is meant: in its folder, or the packaged one."""
+    car = current()
+    own = None if car is None or car.folder is None else car.folder / f"{kind}.safetensors"
+    return own if own is not None and own.is_file() else shipped(kind)
+
+
 def load_weights(kind: str, file: str | os.PathLike[str] | None = None) -> Weights:
     """Read and check weights; a warning tells where a file of before has no checksum.
 
     Args:
         kind: `network` or `network-secant`.
-        file: A safetensors file (default: the packaged one).
+        file: A safetensors file (default: the one in the folder of `--car`, or the packaged one).
 
     Raises:
-        DataError: The file is missing, damaged, of another format, kind or shape, or not finite.
+        DataError: The file is missing, damaged, of another format, kind or shape, not finite, or
+            trained on another car than the one of `--car`.
     """
     if kind not in ("network", "network-secant"):
         raise OptionError("kind", kind, "'network' or 'network-secant'")
-    path = shipped(kind) if file is None else Path(file)
+    path = made_for_the_car(kind) if file is None else Path(file)
     arrays, metadata = safetensors.read(path)
+    if (car := current()) is not None and metadata.get("car_sha256") != car.sha256:
+        own = "" if path.parent != shipped(kind).parent else "none was trained on it, and "
+        raise DataError(
+            f"{car} has no {kind} of its own: {own}{str(path)!r} is of a car of hash "
+            f"{metadata.get('car_sha256', '')[:12]}, not {car.sha256[:12]}; lpvmpc collect and "
+            f"lpvmpc train with --car {car} make one, and --stiffness constant needs none."
+        )
     if metadata.get("format") != FORMAT:
         raise DataError(
             f"The weights {str(path)!r} have the format {metadata.get('format')!r}, but must have "

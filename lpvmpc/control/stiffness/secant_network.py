@@ -72,7 +72,7 @@ def secant(x, net, h, g, out):
 
 @njit(cache=True)
 def secant_along(
-    x, Ts, constants, m_eff, brake_front, inertia, net, sample, h, g, pair, tires
+    x, Ts, constants, m_eff, drive_front, brake_front, inertia, net, sample, h, g, pair, tires
 ):
     """Secant stiffness in the middle of each interval of a prediction, in place; see `along`."""
     clamped = 0
@@ -82,7 +82,9 @@ def secant_along(
         r, delta = 0.5 * (x[k, R] + x[k + 1, R]), 0.5 * (x[k, DELTA] + x[k + 1, DELTA])
         ay = vx * r + (x[k + 1, VY] - x[k, VY]) / Ts
         a = 0.5 * (x[k, A] + x[k + 1, A])
-        ax, _, _ = longitudinal(a, vx, delta, ay, car, m_eff, brake_front, inertia)
+        ax, _, _ = longitudinal(
+            a, vx, delta, ay, car, m_eff, drive_front, brake_front, inertia
+        )
         sample[0], sample[1] = vx, 0.5 * (x[k, VY] + x[k + 1, VY])
         sample[2], sample[3], sample[4] = delta, ax, r
         clamped += secant(sample, net, h, g, pair)
@@ -110,7 +112,9 @@ class SecantNetwork:
         self.net = packed(weights, car)
         self._constants = np.array(bicycle.Bicycle.of(car))
         self.Ts = Ts
-        self._spin = (car.m_eff, car.brake_front, 2.0 * car.J_w / car.R_w**2)
+        self._spin = (
+            car.m_eff, car.drive_front, car.brake_front, 2.0 * car.J_w / car.R_w**2
+        )
         widest = max(SECANT_SIZES)
         self._scratch = (np.zeros(5), np.zeros(widest), np.zeros(widest), np.zeros(2))
         self.reset()
