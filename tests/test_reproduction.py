@@ -328,7 +328,7 @@ def test_the_report_holds_every_table_and_says_where_a_car_was_lost(make):
     assert report.cell(SimpleNamespace(completed=False, result={
         "reason": "spun: |epsi| > pi/2", "s_end_m": 12.3})) == "spun at 12 m"
     assert "![Fig. 8](paper/fig8-path.png)" in text
-    assert "tuned on tuning-a, tuning-b, with the same budget" in text
+    assert "for `lpv-mpc`" in text and "tuned in ideal, rtk, fleet for `lmpc-pso-pid`" in text
     assert "No record of a tuning is here." in text
     by_hand = report.report(make(tuned=False), {})
     assert "set by hand, not tuned; they drive" in by_hand

@@ -140,7 +140,7 @@ def origins(controllers: Iterable[str]) -> str:
         file = shipped_file(name)
         record = tomllib.loads(file.read_text()).get("record", {}) if file.exists() else {}
         if not record.get("tuned_on"):
-            how = "set by hand"
+            how = f"set by {record.get('set_by', 'hand')}"
         elif record.get("worlds"):
             how = f"tuned in {', '.join(dict.fromkeys(record['worlds']))}"
         else:

@@ -189,7 +189,7 @@ def weights_by_hand() -> dict[str, dict[str, float]]:
 
 
 def shipped_weights(by_hand: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
-    """The tuned weights that the package ships, of the controllers that have some.
+    """The weights that the package ships, of the controllers that have some.
 
     Raises:
         DataError: A file is damaged.
@@ -197,7 +197,7 @@ def shipped_weights(by_hand: Mapping[str, Mapping[str, float]]) -> dict[str, dic
     found = {}
     for name, values in by_hand.items():
         file = shipped_file(name)
-        if tuned_on(name):  # a file may also hold weights that were set by hand
+        if file.exists():
             found[name] = {**values, **read_weights(file, name)}
     return found
 

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 from lpvmpc.bench.cases import CHARGE
-from lpvmpc.bench.report import cell, short
+from lpvmpc.bench.report import cell, origins, short
 from lpvmpc.kit.findings import Finding, promises_sentence, promises_table
 from lpvmpc.kit.markdown import markdown_table
 from lpvmpc.kit.provenance import machine
@@ -115,12 +115,12 @@ def weights_sentence(e: Evidence) -> str:
     """Where the weights come from."""
     tuned = [name for name in e.equipment.by_hand if name in e.equipment.tuned]
     by_hand = [name for name in e.equipment.by_hand if name not in tuned]
-    how = "tuned anew" if "weights" in e.anew else "as shipped"
     text = ""
-    if tuned:
+    if tuned and "weights" in e.anew:
         roads = ", ".join(e.tuned_on) or "unknown roads"
-        text = (f"Weights of {', '.join(tuned)}: {how}, tuned on {roads}, with the same budget of "
-                "evaluations for each, in the ideal world.")
+        text = f"Weights of {', '.join(tuned)}: tuned anew on {roads}, each with the same budget."
+    elif tuned:
+        text = origins(tuned) + ' They drive in the tables of "tuned" weights.'
     if by_hand:
         text += (" " if text else "") + (
             f"Weights of {', '.join(by_hand)}: set by hand, not tuned; they "
