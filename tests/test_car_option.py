@@ -134,6 +134,7 @@ def test_workers_drive_the_same_car(car):
     assert mine[0]["model_sha256"] != batch.drive_all(runs[:1])[0]["model_sha256"]
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("default")
 def test_track_drives_another_car_and_says_in_a_sentence_what_does_not_fit(
     car, tmp_path, monkeypatch, capsys
@@ -197,3 +198,26 @@ def test_the_filter_expects_driven_rear_wheels_to_turn_faster(made):
     with driving(made):
         rear = load_estimator("ekf", sensing=sensing, Ts=0.033)
     assert front._constants[C_DRIVEN] == 0.0 and 0.005 < rear._constants[C_DRIVEN] < 0.02
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")
+def test_a_car_is_put_on_the_tires_of_a_property_file(tmp_path, monkeypatch, capsys):
+    from lpvmpc.car import magic_formula as mf
+    from lpvmpc.car.tir import write_tir
+
+    tire = compile_model(visual=False).numeric("tire_f").data.copy()
+    tire[[mf.PDX1, mf.PDY1]] *= 0.9
+    write_tir(tmp_path / "worn.tir", tire)
+    with (tmp_path / "worn.tir").open("a") as file:
+        file.write("PHY1 = 0.002\n")
+    monkeypatch.chdir(tmp_path)
+    words = ["--scenario", "slalom", "--tire", "worn.tir", "--controller", "pure-pursuit"]
+    assert cli.run(track.Options, track.main, words) == 0
+    told = capsys.readouterr().err
+    assert "Not honoured of worn.tir:\n  PHY1: would shift Fy" in told
+    result = json.loads(Path("runs/slalom-pure-pursuit-worn/metrics.json").read_text())
+    assert result["completed"]
+    (tmp_path / "worn.tir").write_text("[UNITS]\nPDY1 = many\n")
+    assert cli.run(track.Options, track.main, words) == 2
+    assert "worn.tir lacks the tire coefficients FNOMIN, UNLOADED_RADIUS" in capsys.readouterr().err

@@ -39,7 +39,8 @@ class Current:
         return None if self.place.suffix.lower() == ".xml" else self.place
 
     def __str__(self) -> str:
-        return str(self.place)
+        near = os.path.relpath(self.place)
+        return str(self.place) if near.startswith("..") else near
 
 
 def current() -> Current | None:

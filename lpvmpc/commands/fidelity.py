@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from lpvmpc.commands.parts.the_car import CarPlace, with_car
+from lpvmpc.commands.parts.the_car import CarPlace, TireFile, with_car
 from lpvmpc.errors import UnknownNameError
 from lpvmpc.kit import cli
 from lpvmpc.kit.files import replacing, write_json
@@ -46,6 +46,7 @@ class Options:
     out: Path | None = None
     """Folder of the report (default: docs/results for all studies, else runs/fidelity)."""
     car: CarPlace = None
+    tire: TireFile = None
     json: Path | None = None
     """Write figures, limits and verdicts to this file as well."""
     broken: Annotated[

@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from lpvmpc.commands.parts.the_car import CarPlace, with_car
+from lpvmpc.commands.parts.the_car import CarPlace, TireFile, with_car
 from lpvmpc.commands.parts.track_table import print_table
 from lpvmpc.control.registry import CONTROLLERS, STIFFNESS_MODELS
 from lpvmpc.errors import LPVMPCError, OptionError, RenderError
@@ -114,6 +114,7 @@ class Options:
     """Let the controller live in a process of its own: what it does there reaches neither plant nor
     record, hangs in compiled code end in time, and its memory is limited (1.5 GiB)."""
     car: CarPlace = None
+    tire: TireFile = None
     json: Path | None = None
     """Write the metrics to this file as well."""
 
@@ -140,7 +141,8 @@ def main(options: Options) -> int:
     if options.isolate:
         controller = Isolated(options.controller, **given)
     name = re.sub(r"[^\w.-]+", "-", "-".join(
-        [scenario.name, options.controller, *([options.car.stem] if options.car else [])]
+        [scenario.name, options.controller,
+         *(place.stem for place in (options.car, options.tire) if place is not None)]
     ))
     for sentence in scenario.warnings:
         print("Warning:", sentence, file=sys.stderr)

@@ -12,7 +12,9 @@ that the decorator names, unless the command line names others.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -27,6 +29,14 @@ CarPlace = Annotated[
     )),
 ]
 """Type of the option."""
+TireFile = Annotated[
+    Path | None,
+    cli.Option(metavar="FILE.tir", help=(
+        "Put the car on the tires of a property file (MF5.2, PAC2002, MF6.1); what of it is not "
+        "honoured is said."
+    )),
+]
+"""Type of the option `tire`, which a command may have as well."""
 OptionsT = TypeVar("OptionsT", bound=Any)
 
 
@@ -40,12 +50,11 @@ def with_car(**places: str) -> Callable[[Callable[[OptionsT], int]], Callable[[O
     def decorate(main: Callable[[OptionsT], int]) -> Callable[[OptionsT], int]:
         @functools.wraps(main)
         def run(options: OptionsT) -> int:
-            if options.car is None:
+            tire = getattr(options, "tire", None)
+            if options.car is None and tire is None:
                 return main(options)
             cli.check_opengl()  # before MuJoCo is imported
-            from lpvmpc.plant.car_folder import driving
-
-            with driving(options.car) as car:
+            with _meant(options.car, tire) as car:
                 defaults = {field.name: field.default for field in fields(options)}
                 own = {
                     name: Path(place.format(car=car.name)) for name, place in places.items()
@@ -56,6 +65,25 @@ def with_car(**places: str) -> Callable[[Callable[[OptionsT], int]], Callable[[O
         return run
 
     return decorate
+
+
+@contextmanager
+def _meant(place: Path | None, tire: Path | None) -> Iterator[Any]:
+    """Mean the car of the options; says what of a tire file is not honoured."""
+    from lpvmpc.plant.car_folder import driving
+
+    if tire is None:
+        with driving(place) as car:
+            yield car
+        return
+    from lpvmpc.plant.other_tires import driving_on
+
+    with driving_on(place, tire) as (car, file):
+        if file.zero:
+            print(f"{tire} does not give {', '.join(file.zero)}: zero.", file=sys.stderr)
+        if file.ignored:
+            print(f"Not honoured of {tire}:", *file.sentences(), sep="\n  ", file=sys.stderr)
+        yield car
 
 
 def folder_of(place: Path | None) -> Path | None:
