@@ -188,6 +188,38 @@ def test_interrupted_training_resumes_to_the_same_bytes(data, car, tmp_path):
         train(data, job, car, checkpoint=checkpoint, resume=True)
 
 
+def test_training_stopped_in_its_first_epoch_leaves_the_checkpoint_it_promises(
+    data, car, tmp_path, monkeypatch
+):
+    job = Job(preset=preset("default", 200), only=("runs",))
+    step = training._State.step
+    calls = []
+
+    def stop(state, *what):
+        calls.append(what)
+        if len(calls) == 3:  # in the middle of an epoch
+            raise KeyboardInterrupt
+        return step(state, *what)
+
+    monkeypatch.setattr(training._State, "step", stop)
+    checkpoint = tmp_path / "c"
+    with pytest.raises(KeyboardInterrupt):
+        train(data, job, car, checkpoint=checkpoint)
+    arrays, _ = safetensors.read(checkpoint)
+    assert arrays["progress"].tolist() == [0, 0]
+
+    def leave(epoch, loss):
+        raise KeyboardInterrupt
+
+    first = [], []
+    for place, resume in zip(first, (True, False), strict=True):
+        file = checkpoint if resume else tmp_path / "d"
+        with pytest.raises(KeyboardInterrupt):
+            train(data, job, car, checkpoint=file, resume=resume, progress=leave)
+        place.append(file.read_bytes())
+    assert first[0] == first[1]
+
+
 def test_a_loss_that_is_no_number_is_an_error(data, car):
     broken = dict(data.columns)
     broken["Fyf_N"] = broken["Fyf_N"] * 1e30

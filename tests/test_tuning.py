@@ -127,6 +127,16 @@ def test_resumed_tuning_ends_in_the_same_weights(bowl, tmp_path, stop):
     assert resumed.evaluations == undisturbed.evaluations
 
 
+def test_a_tuning_stopped_before_its_first_generation_can_be_resumed(bowl, tmp_path):
+    def stop(function, things):
+        raise KeyboardInterrupt
+
+    file = tmp_path / "checkpoint.json"
+    with pytest.raises(KeyboardInterrupt):
+        tune(TASK, checkpoint=file, map=stop)
+    assert tune(TASK, checkpoint=file, resume=True).weights == tune(TASK).weights
+
+
 def test_the_seed_decides(bowl):
     other = Task(controller="stanley", generations=4, population=6, seed=1)
     assert tune(TASK).weights == tune(TASK).weights != tune(other).weights

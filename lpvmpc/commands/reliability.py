@@ -1,4 +1,4 @@
-"""Try what goes wrong: inputs, files, controllers, QPs, roads that nobody has tuned for.
+"""Try what goes wrong: inputs, files, controllers, kills, QPs, roads that nobody knows.
 
     lpvmpc reliability --jobs 2
 
@@ -28,13 +28,16 @@ if TYPE_CHECKING:
 
 NAME = "reliability"
 QUICK_OUT = Path("runs/reliability-quick")
-PARTS = ("inputs", "files", "controllers", "qps", "loops")
+PARTS = ("inputs", "files", "controllers", "kills", "qps", "loops")
 """What may be tried, in the order of the report."""
 DAMAGES, HERE, ISOLATED, QPS, RUNS = 2000, 1000, 300, 20_000, 1000
 """How often a file of each kind is damaged; controllers that do wrong, in this process and in
 processes of their own; quadratic programs; random runs."""
 QUICK_DAMAGES, QUICK_HERE, QUICK_ISOLATED, QUICK_QPS, QUICK_RUNS = 150, 36, 26, 500, 20
 """The same with --quick."""
+KILLS = 20
+"""How often each command is killed; with --quick `QUICK_KILLS`, and those of `QUICK_JOBS` alone."""
+QUICK_KILLS, QUICK_JOBS = 2, ("collect", "train")
 SEED = 0
 """Seed of all of them; the random runs' seeds are their numbers."""
 
@@ -50,7 +53,7 @@ class Options:
     jobs: int = 0
     """Number of processes (0: one per core)."""
     parts: tuple[str, ...] = ()
-    """What to try: inputs, files, controllers, qps, loops (default: all)."""
+    """What to try: inputs, files, controllers, kills, qps, loops (default: all)."""
     runs: int | None = None
     """Random runs (default: 1000, with --quick 20)."""
     out: Path | None = None
@@ -73,14 +76,12 @@ def main(options: Options) -> int:
     out = cli.writable_folder(options.out or (Path("docs/results") if whole else QUICK_OUT))
     if options.json is not None:
         cli.writable_folder(options.json.parent)
-    # first, since every command that is tried in this process frees the folders it claims
-    answers = asked() if "inputs" in parts else []
     cli.results_folder(out, NAME)
     prepare(options.cache, options.resume, NAME)
     jobs = options.jobs or cli.cores()
     runs = options.runs or (QUICK_RUNS if options.quick else RUNS)
     try:
-        sections = [tried(part, options, answers, runs, jobs) for part in parts]
+        sections = [tried(part, options, runs, jobs) for part in parts]
     except KeyboardInterrupt:
         print("Interrupted; --resume goes on from here.", file=sys.stderr)
         return cli.INTERRUPTED
@@ -119,12 +120,12 @@ def asked() -> list[Answer]:
         sys.argv = before
 
 
-def tried(part: str, options: Options, answers: list[Answer], runs: int, jobs: int) -> Section:
+def tried(part: str, options: Options, runs: int, jobs: int) -> Section:
     """The section of a part."""
     from lpvmpc.reliability import damage, loops, misbehaving, report
 
     if part == "inputs":
-        return report.inputs_section(answers)
+        return report.inputs_section(asked())
     if part == "files":
         count = QUICK_DAMAGES if options.quick else DAMAGES
         found = [damage.fuzz(subject, count, SEED) for subject in damage.subjects()]
@@ -132,6 +133,8 @@ def tried(part: str, options: Options, answers: list[Answer], runs: int, jobs: i
     if part == "controllers":
         here, isolated = (QUICK_HERE, QUICK_ISOLATED) if options.quick else (HERE, ISOLATED)
         return report.controllers_section(misbehaving.controllers(SEED, here, isolated))
+    if part == "kills":
+        return killed(options.quick)
     if part == "qps":
         from lpvmpc.bench import fuzz
 
@@ -140,6 +143,24 @@ def tried(part: str, options: Options, answers: list[Answer], runs: int, jobs: i
     with Bar(counted=True, unit="runs") as bar:
         results = driver(jobs, options.cache, bar)("random roads")(planned)
     return report.loops_section(loops.summed(planned, results))
+
+
+def killed(quick: bool) -> Section:
+    """The section of the kills."""
+    from lpvmpc.reliability import kills
+    from lpvmpc.reliability.kills_report import kills_section
+
+    def say(what: str) -> None:
+        if sys.stderr.isatty():
+            print(what, file=sys.stderr)
+
+    count, names = (QUICK_KILLS, QUICK_JOBS) if quick else (KILLS, tuple(kills.JOBS))
+    with tempfile.TemporaryDirectory() as folder:
+        found = [
+            kills.kill_often(kills.JOBS[name], count, SEED + i, Path(folder, str(i)), say)
+            for i, name in enumerate(names)
+        ]
+    return kills_section(found, SEED)
 
 
 def summary(sections: list[Section]) -> str:

@@ -127,6 +127,8 @@ def tune(options: Options) -> int:
             for weights in (tuned.by_hand, tuned.weights)
         )
     except KeyboardInterrupt:
+        if not (out / "checkpoint.json").exists():
+            raise  # before its first instant
         print("Interrupted; --resume goes on from here.", file=sys.stderr)
         return cli.INTERRUPTED
     files = tuning_report.save(tuned, before, after, out)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 import os
 import sys
@@ -16,8 +17,8 @@ from typing import Any
 from lpvmpc.errors import LPVMPCError, OptionError, OutputError
 from lpvmpc.kit import locks
 from lpvmpc.kit.options import Option, OptionsT, parse
-from lpvmpc.kit.signals import stops
-from lpvmpc.kit.streams import lasting
+from lpvmpc.kit.signals import stops, told
+from lpvmpc.kit.streams import Lasting, lasting
 
 __all__ = [
     "Option", "check_choice", "check_number", "check_opengl", "cores", "one_line", "parse",
@@ -55,28 +56,52 @@ def run(
         main: Does the work and returns an exit code.
         arguments: Command line (default: sys.argv).
     """
-    with stops(), lasting() as printed, _plain_warnings():
-        try:
+    try:
+        with lasting() as printed, stops(), _plain_warnings():
+            return _run(options, main, arguments, printed)
+    except KeyboardInterrupt:  # at the first or the last instant
+        return INTERRUPTED
+
+
+def _run(
+    options: type[OptionsT],
+    main: Callable[[OptionsT], int],
+    arguments: Sequence[str] | None,
+    printed: Lasting,
+) -> int:
+    """The same, where nothing that is printed can fail."""
+    try:
+        with locks.claims():
             code = main(parse(options, arguments))
-        except LPVMPCError as error:
-            print("Error:", one_line(str(error)), file=sys.stderr)
-            code = BAD_INPUT
-        except RuntimeError as error:
-            if not str(error).startswith(NO_CACHE):
-                raise
+    except LPVMPCError as error:
+        print("Error:", one_line(str(error)), file=sys.stderr)
+        code = BAD_INPUT
+    except Exception as error:
+        if told():  # compiled modules turn Ctrl-C into errors of their own
+            code = _interrupted()
+        elif isinstance(error, RuntimeError) and str(error).startswith(NO_CACHE):
             print("Error: No folder for compiled code can be written; NUMBA_CACHE_DIR names one.",
                   file=sys.stderr)
             code = BAD_INPUT
-        except KeyboardInterrupt:
-            print("Interrupted.", file=sys.stderr)
-            code = INTERRUPTED
-        finally:
-            locks.release()
-        printed.flush()
-        if printed.lost:
-            print(f"Error: Cannot write to standard output: {printed.lost}.", file=sys.stderr)
-            code = code or BAD_INPUT
+        else:
+            raise
+    except KeyboardInterrupt:
+        code = _interrupted()
+    if code == INTERRUPTED:
+        # where Ctrl-C has struck in compiled code that called Python, Python would end by SIGINT in
+        # place of this exit code; a call of that kind that returns makes it forget
+        ctypes.pythonapi.PyRun_SimpleString(b"pass")
+    printed.flush()
+    if printed.lost:
+        print(f"Error: Cannot write to standard output: {printed.lost}.", file=sys.stderr)
+        code = code or BAD_INPUT
     return code
+
+
+def _interrupted() -> int:
+    """Say so, and give the exit code."""
+    print("Interrupted.", file=sys.stderr)
+    return INTERRUPTED
 
 
 def one_line(text: str) -> str:

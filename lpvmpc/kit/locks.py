@@ -12,7 +12,8 @@ import os
 import re
 import shutil
 import sys
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from lpvmpc.errors import OutputError
@@ -23,7 +24,7 @@ _UNSUPPORTED = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL)
 
 
 def claim(folder: Path, name: str = "") -> None:
-    """Claim a folder, or one name in it, until `release` or the end of this process.
+    """Claim a folder, or one name in it, until the end of `claims`, or of this process.
 
     Leftovers there of processes that were killed are removed.
 
@@ -63,13 +64,18 @@ def claim(folder: Path, name: str = "") -> None:
     _sweep(folder)
 
 
-def release() -> None:
-    """Give back all that this process has claimed."""
-    while _held:
-        file, handle = _held.popitem()
-        with suppress(OSError):
-            file.unlink()
-        os.close(handle)
+@contextmanager
+def claims() -> Iterator[None]:
+    """Give back after the body what was claimed in it."""
+    before = set(_held)
+    try:
+        yield
+    finally:
+        for file in set(_held) - before:
+            handle = _held.pop(file)
+            with suppress(OSError):
+                file.unlink()
+            os.close(handle)
 
 
 def _is(handle: int, file: Path) -> bool:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 from typing import Any
 
+from lpvmpc.kit.signals import heed
+
 
 class Bar:
     """How far some work is, on stderr where that is a terminal; elsewhere it shows nothing.
@@ -62,6 +64,7 @@ class Bar:
             done: Between 0 and the total.
             title: What is being done now (default: what it was).
         """
+        heed()
         if self.bar is None:
             return
         speed = self.bar.tasks[0].speed

@@ -33,7 +33,7 @@ class Encoder:
     def __init__(self, path: FilePath, width: int, height: int, fps: int) -> None:
         """Args: the file to write, the size of the pictures [px], frames per second."""
         self.path = path
-        self.part = path.with_name(f".{path.stem}.part{path.suffix or '.mp4'}")
+        self.part = path.with_name(f".{path.name}.{os.getpid()}.part")
         self.size, self.fps = (width, height), fps
         self.frames = 0
         self.failure: Exception | None = None
