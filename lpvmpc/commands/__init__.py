@@ -23,6 +23,7 @@ COMMANDS = {
     "ablation": "compare stiffness models in closed loop: accuracy, robustness",
     "worlds": "drive in worlds that controllers are not told of: margins, draws",
     "fidelity": "run the fidelity studies of the simulated car",
+    "replay": "drive the car by a recording of a real one; identify it",
     "reliability": "try wrong inputs, damaged files, roads nobody tuned for",
     "reproduce": "put the paper's numbers and figures beside ours",
     "solvers": "have other QP solvers solve the programs of our laps",

@@ -1,0 +1,1 @@
+"""Recordings of real cars: replaying them on the plant, and identifying the car from them."""

@@ -1,0 +1,180 @@
+"""Replays: the plant answers as it did, parameters come back, scores and refusals."""
+
+import json
+
+import numpy as np
+import pytest
+
+from lpvmpc.errors import OptionError, UnknownNameError
+from lpvmpc.identify.candidate import Candidate, check_names
+from lpvmpc.identify.conduct import conduct
+from lpvmpc.identify.fit import fit
+from lpvmpc.identify.follow import Steering, replay
+from lpvmpc.identify.predict import plant
+from lpvmpc.identify.recording import Recording, read_recording
+from lpvmpc.identify.scores import gain_and_lag, score
+from lpvmpc.interface import Command
+from lpvmpc.kit import cli
+from lpvmpc.plant.mjcf import compile_model, parameters
+from lpvmpc.plant.plant import Plant
+
+
+def drive(model=None, seconds=12.0, ay=3.5, vx=15.0):
+    """A recording of the plant: sines of steering up to a lateral acceleration, speed varying."""
+    car = Plant(model)
+    car.reset(vx=vx)
+    p = car.params
+    n = round(seconds / car.Ts)
+    rows = []
+    for k in range(n):
+        t = k * car.Ts
+        top = ay * (p.wheelbase + 0.0044 * vx * vx) / vx**2
+        wave = 0.6 * np.sin(0.9 * t) + 0.4 * np.sin(2.9 * t + 0.4 * t * t / seconds)
+        state = car.state
+        rows.append([t, state.delta, state.vx, state.vy, state.r, state.ay])
+        hold = vx + 1.5 * np.sin(0.5 * t) - state.vx
+        car.step(Command(float(top * wave), float(2.0 * hold)))
+    t, delta, vx_, vy, r, ay_ = np.array(rows).T
+    return Recording(name="own", t=t, delta=delta, vx=vx_, r=r, vy=vy, ay=ay_)
+
+
+def noisy(recording, seed, share=0.01, vy=True):
+    """The same with white noise of a share of each channel's standard deviation."""
+    rng = np.random.default_rng(seed)
+
+    def add(values):
+        return values + share * values.std() * rng.normal(size=len(values))
+
+    return Recording(
+        name="noisy", t=recording.t, delta=add(recording.delta), vx=add(recording.vx),
+        r=add(recording.r), vy=add(recording.vy) if vy else None,
+    )
+
+
+@pytest.fixture(scope="module")
+def own():
+    return drive()
+
+
+@pytest.fixture(scope="module")
+def packaged():
+    return Candidate.of(compile_model(visual=False))
+
+
+def test_a_run_of_the_plant_replays_as_it_was(own):
+    motion = replay([compile_model(visual=False)], own)
+    assert score(motion.r[0], own.r).r2 > 0.9999
+    assert score(motion.vy[0], own.vy).r2 > 0.9999
+    assert score(motion.ay[0], own.ay).r2 > 0.999  # of the step before in the recording
+    assert np.abs(motion.vx[0] - own.vx).max() < 0.02
+
+
+def test_the_steering_law_undoes_what_the_recording_has(own):
+    late = Recording(
+        name="late", t=own.t, vx=own.vx, r=own.r, vy=own.vy,
+        delta=(np.interp(own.t + 0.05, own.t, own.delta) - 0.003) / 0.9,
+    )
+    law = Steering(ratio=0.9, offset=0.003, latency=0.05)
+    motion = replay([compile_model(visual=False)], late, [law])
+    assert score(motion.r[0], own.r).r2 > 0.9995
+
+
+def test_many_cars_at_once_move_as_each_alone(own, packaged):
+    part = own.rows(0, 120)
+    models = [packaged.model(), packaged.with_values({"Cf": 1.1e5}).model()]
+    both = replay(models, part, threads=2)
+    alone = replay(models[1:], part, threads=1)
+    assert np.array_equal(both.r[1], alone.r[0])
+    assert not np.array_equal(both.r[0], both.r[1])
+
+
+def test_a_candidate_is_the_car_it_says(packaged):
+    values = {"m": 1700.0, "lf": 1.3, "lr": 1.35, "Iz": 2600.0, "h": 0.6, "Cf": 1e5, "Cr": 1.5e5,
+              "relaxation": 0.7}
+    p = parameters(packaged.with_values(values).model())
+    base = parameters(packaged.model())
+    for name, value in values.items():
+        if name != "relaxation":
+            assert getattr(p, name) == pytest.approx(value, rel=1e-6)
+    assert p.sigma_f == pytest.approx(0.7 * base.sigma_f, rel=1e-6)
+
+
+def test_hidden_stiffness_and_geometry_come_back(packaged):
+    hidden = {"lf": 1.25, "lr": 1.5, "Cf": 1.15e5, "Cr": 2.4e5}
+    data = drive(packaged.with_values(hidden).model(), seconds=12.0)
+    found = fit(packaged, list(hidden), [noisy(data, 3)], plant())
+    for one in found.parameters:
+        assert one.value == pytest.approx(hidden[one.name], rel=0.02)
+        assert one.identifiable and not one.at_bound
+    assert found.warnings == ()
+    # the servo's 33 ms between samples 33 ms apart, for which a straight line stands
+    assert found.timing.value == pytest.approx(-0.0027, abs=0.002)
+
+
+def test_mass_is_not_identifiable_from_yaw_rate_alone(own, packaged):
+    data = noisy(own.rows(0, 200), 0, vy=False)
+    found = fit(packaged, ["m", "Iz", "Cf", "Cr"], [data], plant(), evaluations=6)
+    assert any("told apart" in one or "not identifiable" in one for one in found.warnings)
+
+
+def test_gain_and_lag_of_a_delayed_copy():
+    t = 0.02 * np.arange(800)
+    gain, lag = gain_and_lag(0.8 * np.sin(1.3 * (t - 0.11)), np.sin(1.3 * t), 0.02)
+    assert gain == pytest.approx(0.8, abs=0.005)
+    assert lag == pytest.approx(0.11, abs=0.005)
+
+
+def test_a_constant_has_no_r2():
+    assert score(np.ones(30), np.zeros(30)).r2 is None
+
+
+def test_unknown_parameters_and_ways_of_following_are_refused(own, packaged):
+    with pytest.raises(UnknownNameError, match="steer_lag"):
+        check_names(["mass"])
+    with pytest.raises(OptionError, match="once"):
+        check_names(["Cf", "Cf"])
+    with pytest.raises(OptionError, match="wheels or force"):
+        conduct(packaged, own, follow="rope")
+
+
+def test_the_shipped_recording_is_read_and_its_steering_is_held():
+    from importlib import resources
+
+    file = resources.files("lpvmpc.identify") / "data" / "carsim_run1.csv"
+    recording = read_recording(str(file))
+    assert len(recording.t) == 2539 and recording.held and len(recording.segments()) == 1
+
+
+def test_the_command_fits_saves_and_replays_with_the_saved_car(own, tmp_path, monkeypatch, capsys):
+    from lpvmpc.commands.replay import Options, main
+
+    monkeypatch.chdir(tmp_path)
+    table = np.column_stack([own.t, own.delta, own.vx, own.r, own.vy])[:150]
+    np.savetxt("drive.csv", table, delimiter=",", comments="",
+               header="t_s,delta_rad,vx_mps,r_radps,vy_mps")
+    words = ["--recording", "drive.csv", "--out", "out", "--json", "said.json"]
+    assert cli.run(Options, main, [*words, "--fit", "Cf", "latency", "--save", "car"]) == 0
+    said = json.loads((tmp_path / "said.json").read_text())
+    assert said["models"]["plant"]["whole"]["r_radps"]["r2"] > 0.9999
+    assert said["models"]["plant"]["fit"]["parameters"]["Cf"]["identifiable"]
+    assert (tmp_path / "out" / "replay.png").is_file()
+    assert cli.run(Options, main, [*words, "--car", "car"]) == 0
+    assert "as identified with this car" in capsys.readouterr().out
+
+
+BAD = [
+    ([], "--recording"),
+    (["--recording", "none.csv"], "There is no recording none.csv"),
+    (["--recording", "none.csv", "--save", "x"], "--fit NAME"),
+    (["--recording", "none.csv", "--fit-on", "x"], "--fit NAME"),
+]
+
+
+@pytest.mark.parametrize(("words", "message"), BAD)
+def test_bad_options_are_one_line(words, message, capsys, tmp_path, monkeypatch):
+    from lpvmpc.commands.replay import Options, main
+
+    monkeypatch.chdir(tmp_path)
+    assert cli.run(Options, main, words) == 2
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1
