@@ -116,7 +116,7 @@ def read_car(place: str | os.PathLike[str] | None = None) -> Car:
         raise ModelError(
             f"{str(file)!r} was changed since its files were made, or is another car's: its hash "
             f"is {car.sha256[:12]}, {PROVENANCE} says {str(told['car_sha256'])[:12]}; "
-            "lpvmpc.plant.car_folder.adopt makes it the folder's car."
+            f"python -m lpvmpc.plant.garage {path} takes it for the folder's car."
         )
     return car
 

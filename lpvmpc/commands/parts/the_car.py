@@ -76,7 +76,7 @@ def _meant(place: Path | None, tire: Path | None) -> Iterator[Any]:
         with driving(place) as car:
             yield car
         return
-    from lpvmpc.plant.other_tires import driving_on
+    from lpvmpc.plant.garage import driving_on
 
     with driving_on(place, tire) as (car, file):
         if file.zero:
