@@ -2,7 +2,8 @@
 
 What lies here decides the runs of rivals alone: adding one, or changing one, leaves the kept
 results of all other controllers valid (`sim.batch`). So nothing outside may import from here but
-the table below. Tuned weights lie in `rivals/weights/NAME.toml`.
+the table below, and `lpvmpc.gym` what a learned driver sees. Tuned weights lie in
+`rivals/weights/NAME.toml`.
 """
 
 from __future__ import annotations
