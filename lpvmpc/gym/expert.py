@@ -5,18 +5,18 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from lpvmpc.control.rivals.observation import SIZE, action_of
 from lpvmpc.errors import OptionError
 from lpvmpc.gym.cars import Cars, Setting
 from lpvmpc.interface import declared
 from lpvmpc.sim.names import load_controller
-from lpvmpc.units import Array
 
 
 def demonstrate(
     steps: int, *, controller: str = "lpv-mpc", seed: int = 0, noise: float = 0.0, **setting: Any
-) -> dict[str, Array]:
+) -> dict[str, npt.NDArray[Any]]:
     """Have a controller drive episodes of `Track-v0`, and keep what it saw and did.
 
     It is given the same state and road as the policy: the estimate in a world with sensors.
@@ -44,7 +44,7 @@ def demonstrate(
     about = declared(expert)
     rng = np.random.default_rng(seed)
     cars = Cars(1, Setting(**setting), threads=1)
-    found = {
+    found: dict[str, npt.NDArray[Any]] = {
         "observations": np.zeros((steps, SIZE), dtype=np.float32),
         "actions": np.zeros((steps, 2), dtype=np.float32),
         "rewards": np.zeros(steps),
