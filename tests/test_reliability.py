@@ -134,3 +134,24 @@ def test_a_controller_that_gets_away_is_a_fault(monkeypatch):
     found = misbehaving.controllers(0, here=2, isolated=0)
     assert len(found.faults) == 2 and not report.controllers_section(found).findings[0].ok
     assert all("it completed" in fault or "no sentence" in fault for fault in found.faults)
+
+
+def test_a_section_that_was_kept_at_this_commit_is_not_tried_again(tmp_path, monkeypatch):
+    from lpvmpc.commands import reliability
+
+    tried = []
+    section = report.inputs_section([])
+
+    def once(part, *_):
+        tried.append(part)
+        return section
+
+    monkeypatch.setattr(reliability, "tried", once)
+    options = Options(resume=True, cache=tmp_path)
+    for at, count in (("abc", 1), ("abc", 1), ("abd", 2), ("abd-dirty", 3), (None, 4)):
+        monkeypatch.setattr(reliability, "commit", lambda at=at: at)
+        assert reliability.kept("inputs", options, 5, 1) == section
+        assert len(tried) == count
+    (tmp_path / "inputs.section.json").write_text("{")
+    monkeypatch.setattr(reliability, "commit", lambda: "abc")
+    assert reliability.kept("inputs", options, 5, 1) == section and len(tried) == 5

@@ -2,15 +2,17 @@
 
     lpvmpc reliability --jobs 2
 
-Driven runs are kept one by one, so that --resume goes on where an interrupted one stopped. Exit
-codes: 0 tried, promises met or not; 2 bad input; 130 interrupted.
+Driven runs are kept one by one, the other parts whole, so that --resume goes on where an
+interrupted one stopped, at the same commit. Exit codes: 0 tried, promises met or not; 2 bad input;
+130 interrupted.
 """
 
 from __future__ import annotations
 
+import json
 import sys
 import tempfile
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,8 +20,10 @@ from typing import TYPE_CHECKING
 from lpvmpc import commands
 from lpvmpc.commands.parts.batches import driver, prepare, wrapped
 from lpvmpc.kit import cli
+from lpvmpc.kit.files import read_json, write_text
 from lpvmpc.kit.findings import promises_sentence
 from lpvmpc.kit.progress import Bar
+from lpvmpc.kit.provenance import commit
 from lpvmpc.kit.report import write_report
 
 if TYPE_CHECKING:
@@ -81,7 +85,7 @@ def main(options: Options) -> int:
     jobs = options.jobs or cli.cores()
     runs = options.runs or (QUICK_RUNS if options.quick else RUNS)
     try:
-        sections = [tried(part, options, runs, jobs) for part in parts]
+        sections = [kept(part, options, runs, jobs) for part in parts]
     except KeyboardInterrupt:
         print("Interrupted; --resume goes on from here.", file=sys.stderr)
         return cli.INTERRUPTED
@@ -118,6 +122,25 @@ def asked() -> list[Answer]:
                     for wrong in inputs.wrong_inputs(options_of_all())]
     finally:
         sys.argv = before
+
+
+def kept(part: str, options: Options, runs: int, jobs: int) -> Section:
+    """The section of a part, as an earlier run of this commit has kept it, or tried and kept."""
+    from lpvmpc.reliability import report
+
+    at = commit()
+    whose = {"commit": at, "quick": options.quick, "runs": runs if part == "loops" else None}
+    file = options.cache / f"{part}.section.json"
+    if options.resume and at is not None and not at.endswith("-dirty"):
+        try:
+            found = read_json(file)
+            if found["of"] == whose:
+                return report.section_of(found["section"])
+        except (OSError, ValueError, TypeError, KeyError):
+            pass  # there is none, or a damaged one
+    section = tried(part, options, runs, jobs)
+    write_text(file, json.dumps({"of": whose, "section": asdict(section)}))
+    return section
 
 
 def tried(part: str, options: Options, runs: int, jobs: int) -> Section:

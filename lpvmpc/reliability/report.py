@@ -39,6 +39,21 @@ class Section:
     """Every single fault, and every run that did not complete, with its cause."""
 
 
+def section_of(told: Mapping[str, Any]) -> Section:
+    """A section from what `dataclasses.asdict` made of it.
+
+    Raises:
+        ValueError, TypeError, KeyError: It is none.
+    """
+    findings = tuple(
+        Finding(**{**one, "limit": one["limit"] and Limit(**one["limit"])})
+        for one in told["findings"]
+    )
+    rows = tuple(tuple(row) for row in told["rows"])
+    return Section(**{**told, "header": tuple(told["header"]), "rows": rows, "findings": findings,
+                      "faults": tuple(told["faults"])})
+
+
 def _none(key: str, figure: str, count: int, why: str) -> Finding:
     """A promise that there is none of something."""
     return Finding(key=key, figure=figure, value=float(count), limit=Limit.at_most(0), why=why)
