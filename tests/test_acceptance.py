@@ -1,7 +1,8 @@
 """What the product promises: the bars of the closed loop on the real plant, road by road.
 
 The promises about the car alone (static loads, rest, slope, straight line, mirror, grip limit,
-handling) are in test_plant.py and test_vehicle.py.
+handling) are in test_plant.py and test_vehicle.py. Bounds on errors are at most twice what was
+measured when they were set, after the results had been seen: they keep what was reached.
 """
 
 import os
@@ -30,68 +31,64 @@ def drive(name, grip=None, controller="lpv-mpc", seed=0):
     return simulate(Plant(), load_controller(controller), scenario, seed=seed)
 
 
-def test_the_papers_road_is_driven_within_millimetres_under_full_wind():
+def test_the_papers_road_is_driven_within_two_millimetres_under_full_wind():
     log = drive("paper")
     result = metrics(log)
     assert log.scenario.wind.speed(log.columns["t_s"], log.columns["s_m"]).max() > 50.0
     assert result["completed"]
     assert result["qp"]["fallback"] == 0
-    # A run that tracks the speed to 0.02 m/s at 15 m/s cannot be off by more than 0.2 %.
-    assert result["duration_s"] == pytest.approx(result["reference_duration_s"], rel=0.01)
-    # The paper's own figures are 21.7 and 80 mm: a twentieth of them is what observer, lag states
-    # and steady-state reference bought in every prototype. 0.4 and 1.8 mm measured.
-    assert result["lateral_rmse_m"] <= 0.001
-    assert result["lateral_max_m"] <= 0.005
-    # Course, not heading: the crab angle in the wind is physics. 1 mm of lateral error swings with
-    # the wind within some metres, so 0.1 mrad is measured; the bar leaves room for other wind.
-    assert result["course_rmse_rad"] <= 0.002
-    # A fifth of the paper's 0.101 m/s; what is left is the kinks of the reference every 40 m.
-    assert result["speed_rmse_mps"] <= 0.02
+    # 0.02 % measured, less than a control period.
+    assert result["duration_s"] == pytest.approx(result["reference_duration_s"], rel=0.0004)
+    # 0.165 and 0.77 mm measured.
+    assert result["lateral_rmse_m"] <= 0.00033
+    assert result["lateral_max_m"] <= 0.0015
+    # Course, not heading: the crab angle in the wind is physics. 0.094 mrad measured.
+    assert result["course_rmse_rad"] <= 0.00018
+    # 0.0086 m/s measured; what is left is the kinks of the reference every 40 m.
+    assert result["speed_rmse_mps"] <= 0.017
 
 
 def test_the_papers_formulation_drives_its_road_less_exactly():
     """The matrices corrected, but no observer, no lags, no feed-forward: what those buy."""
     plain = metrics(drive("paper", controller="lpv-mpc-paper"))
     assert plain["completed"]
-    # The paper's own bound on the lateral error; 26 mm measured.
-    assert plain["lateral_max_m"] < 0.3
-    # The wind alone leaves a centimetre without an observer, and nothing with it: 13 mm measured.
-    assert plain["lateral_rmse_m"] > 5.0 * metrics(drive("paper"))["lateral_rmse_m"]
+    # 23 mm measured.
+    assert plain["lateral_max_m"] < 0.046
+    # The wind alone leaves a centimetre without an observer, and nothing with it: 75 times.
+    assert plain["lateral_rmse_m"] > 38.0 * metrics(drive("paper"))["lateral_rmse_m"]
 
 
 @pytest.mark.parametrize(
-    ("name", "grip"),
-    [
-        ("paper-loop", None),
-        ("double-lane-change", None),
-        ("slalom", None),
-        ("skidpad", None),
-        ("circuit", 0.65),
+    ("name", "grip", "rmse_mm", "largest_mm"),
+    [  # 0.42 and 1.7 mm measured, 0.53 / 2.4, 0.36 / 1.04, 0.50 / 0.79, 0.31 / 1.26, 0.25 / 1.17
+        ("paper-loop", None, 0.83, 3.3),
+        ("double-lane-change", None, 1.05, 4.8),
+        ("slalom", None, 0.71, 2.0),
+        ("skidpad", None, 0.99, 1.5),
+        ("circuit", 0.65, 0.61, 2.5),
         # 3 s on its own and easier than 0.65; the slow run completes the list of promises
-        pytest.param("circuit", 0.5, marks=pytest.mark.slow),
+        pytest.param("circuit", 0.5, 0.49, 2.3, marks=pytest.mark.slow),
     ],
 )
-def test_every_road_is_driven_as_planned(name, grip):
+def test_every_road_is_driven_as_planned(name, grip, rmse_mm, largest_mm):
     log = drive(name, grip)
     result = metrics(log)
     assert result["completed"]
     assert result["qp"]["fallback"] == 0
-    # Slower than this would make the lateral bars easy.
-    assert result["duration_s"] == pytest.approx(result["reference_duration_s"], rel=0.02)
+    # Slower than this would make the lateral bars easy: 0.16 % at most measured.
+    assert result["duration_s"] == pytest.approx(result["reference_duration_s"], rel=0.003)
     # So would cutting the tightest bend's curvature or speed; overshoot is not bounded here.
     assert result["lateral_acc_max_mps2"] >= 0.95 * ay_peak(log.scenario)
-    # Constant stiffness is 10 to 20 % wrong at 5 m/s2, where the tires bend; with feedback over
-    # 33 ms periods that leaves millimetres where the curvature changes (1.9 and 7.1 mm, lane
-    # change). The largest error allowed is a fifteenth of the 0.3 m that the paper allows.
-    assert result["lateral_rmse_m"] <= 0.003
-    assert result["lateral_max_m"] <= 0.020
+    # Stiffness is wrong where the tires bend; with feedback over 33 ms periods that leaves
+    # millimetres where the curvature changes.
+    assert 1e3 * result["lateral_rmse_m"] <= rmse_mm
+    assert 1e3 * result["lateral_max_m"] <= largest_mm
 
 
 @pytest.mark.parametrize("turning", [False, True], ids=["straight", "circle"])
 @pytest.mark.parametrize("vx", steering_at_rest.SPEEDS)
 def test_the_steering_comes_to_rest_at_every_speed(plant, vx, turning):
     """No limit cycle: a gust pushes the car off the line, then nothing is left to correct."""
-    # What is left 4 s after the gust was 1e-5 rad: the slowest mode decays with half a second.
     log = simulate(plant, LPVMPC(plant.params), steering_at_rest.scenario(vx, turning))
     result = steering_at_rest.of(log, vx, turning)
     assert result.ok, result

@@ -86,7 +86,7 @@ def make(study):
             for case in runs.cases_of(entry, cases)
         ]
         rests = [
-            resting.GustAnswer(vx=vx, turning=False, completed=True, answered=0.01, left=1e-5)
+            resting.GustAnswer(vx=vx, turning=False, completed=True, answered=0.01, left=1e-6)
             for vx in resting.SPEEDS
         ]
         t = np.linspace(0.0, 10.0, 50)
@@ -237,7 +237,7 @@ def test_promises_are_met_or_missed_and_a_lost_car_is_charged(make):
     assert missed["paper_lateral_rmse_mm"].ok is False
     assert missed["paper_speed_rmse_mps"].ok is False
     assert missed["paper-loop_lateral_rmse_mm"].value == 5000.0
-    assert missed["circuit-0.87_lateral_rmse_mm"].ok is True  # 1.5 of 3 mm
+    assert missed["circuit-0.87_lateral_rmse_mm"].ok is True  # 1.5 of 1.8 mm
     assert missed["tuned_on_reported"].ok is False
 
 
@@ -475,9 +475,9 @@ def test_a_steering_that_does_not_come_to_rest_is_seen():
         return SimpleNamespace(columns={"t_s": t, "delta_cmd_rad": delta},
                                meta={"completed": completed})
 
-    assert resting.of(log(1e-5), 10.0, False).ok
-    assert not resting.of(log(0.002), 10.0, False).ok
-    assert not resting.of(log(1e-5, completed=False), 10.0, False).ok
+    assert resting.of(log(1e-6), 10.0, False).ok
+    assert not resting.of(log(1e-5), 10.0, False).ok
+    assert not resting.of(log(1e-6, completed=False), 10.0, False).ok
     quiet = resting.of(SimpleNamespace(columns={"t_s": t, "delta_cmd_rad": 0.0 * t},
                                        meta={"completed": True}), 10.0, True)
     assert not quiet.ok  # nothing was answered: no proof of rest

@@ -24,7 +24,7 @@ def bars(e: Evidence) -> list[Finding]:
         ("paper-loop", "paper-loop: lateral RMSE", "lateral_rmse_m", "mm", 1e3, 1.0),
         ("double-lane-change", "lane change: lateral RMSE", "lateral_rmse_m", "mm", 1e3, 1.0),
         ("circuit-0.5", "circuit 50 %: lateral RMSE", "lateral_rmse_m", "mm", 1e3, 1.0),
-        ("circuit-0.87", "circuit 87 %: lateral RMSE", "lateral_rmse_m", "mm", 1e3, 3.0),
+        ("circuit-0.87", "circuit 87 %: lateral RMSE", "lateral_rmse_m", "mm", 1e3, 1.8),
     ):
         row = e.get("tuned", OURS, case)
         value = None
