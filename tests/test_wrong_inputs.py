@@ -7,6 +7,7 @@ import pytest
 
 from lpvmpc.commands import COMMANDS, main
 from lpvmpc.commands.reliability import options_of_all
+from lpvmpc.kit import cli
 from lpvmpc.reliability import inputs
 from lpvmpc.reliability.inputs import Wrong, wrong_inputs
 
@@ -60,3 +61,8 @@ def test_what_is_accepted_or_raises_would_be_found(folder, monkeypatch):
     assert inputs.ask(Wrong(words=("track", "--help")), main).fault == "exit code 0"
     monkeypatch.setitem(inputs.READERS, "tires", lambda file: 1 / 0)
     assert inputs.ask(Wrong(words=("read tires", "x")), main).fault == "a traceback"
+
+
+def test_ctrl_c_among_the_wrong_inputs_is_no_answer_of_theirs():
+    with pytest.raises(KeyboardInterrupt):
+        inputs.ask(inputs.Wrong(words=("track", "--seed", "x")), lambda _: cli.INTERRUPTED)

@@ -188,6 +188,9 @@ def ask(wrong: Wrong, main: Main) -> Answer:
     Args:
         wrong: The input.
         main: Runs a command line that begins with the command's name, and gives its exit code.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C.
     """
     out, err = io.StringIO(), io.StringIO()
     start, code = time.process_time(), None
@@ -198,6 +201,8 @@ def ask(wrong: Wrong, main: Main) -> Answer:
             code = error.code if isinstance(error.code, int) else 1
         except Exception:
             err.write(traceback.format_exc())
+    if code == cli.INTERRUPTED:  # Ctrl-C, which the command has answered as its own
+        raise KeyboardInterrupt
     said = err.getvalue()
     errors = [line for line in said.splitlines() if not line.startswith("Warning:")]
     seconds = time.process_time() - start
