@@ -38,7 +38,7 @@ def test_an_unknown_command_is_one_sentence(capsys):
     assert commands.main(["trac"]) == 2
     out, err = capsys.readouterr()
     assert out == "" and err.count("\n") == 1
-    assert err.startswith("Error: Unknown command 'trac'; the choices are ablation, benchmark,")
+    assert err.startswith("Error: Unknown command 'trac'; the choices are ablation, adopt,")
 
 
 @pytest.mark.parametrize("name", commands.COMMANDS)

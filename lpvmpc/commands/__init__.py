@@ -24,6 +24,7 @@ COMMANDS = {
     "worlds": "drive in worlds that controllers are not told of: margins, draws",
     "fidelity": "run the fidelity studies of the simulated car",
     "replay": "drive the car by a recording of a real one; identify it",
+    "adopt": "identify a recorded car, train, tune and drive for it",
     "reliability": "try wrong inputs, damaged files, roads nobody tuned for",
     "reproduce": "put the paper's numbers and figures beside ours",
     "solvers": "have other QP solvers solve the programs of our laps",

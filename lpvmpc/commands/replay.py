@@ -51,8 +51,10 @@ class Options:
     a force on the whole car."""
     save: Path | None = None
     """Write the car that was identified into this folder, for --car."""
+    study: bool = False
+    """Write the evidence that ships, docs/results/replay.md, instead (some ten minutes)."""
     out: Path | None = None
-    """Folder of the report (default: runs/replay)."""
+    """Folder of the report (default: runs/replay; of --study: docs/results)."""
     json: Path | None = None
     """Write what was printed to this file as well."""
 
@@ -60,6 +62,8 @@ class Options:
 def main(options: Options) -> int:
     """Replay, print, save; returns the exit code."""
     cli.check_opengl()
+    if options.study:
+        return _study(options)
     if options.recording is None:
         raise OptionError("--recording", None, "the CSV file of a recording")
     if options.fit_on and not options.fit:
@@ -124,6 +128,19 @@ def _save(folder: Path, found: Replay) -> None:
     car = save(folder, found)
     print(f"Saved the car in {folder}/ (largest lateral acceleration {car.params.ay_limit:.2f} "
           "m/s2)")
+
+
+def _study(options: Options) -> int:
+    """Write docs/results/replay.md."""
+    from lpvmpc.identify import evidence
+
+    out = options.out or Path("docs/results")
+    cli.results_folder(out, "replay")
+    values = evidence.write(out, say)
+    if options.json is not None:
+        write_json(options.json, values)
+    print(f"Saved {out}/ (replay.md, replay.csv, replay.json, replay-*.png)")
+    return cli.DONE
 
 
 def say(what: str) -> None:

@@ -1,0 +1,254 @@
+"""From a recording to a driven car, in one command: a car of one's own, end to end.
+
+    lpvmpc adopt recording.csv --out cars/mine
+    lpvmpc adopt recording.csv --out cars/mine --resume
+
+Identifies the car on the first part of the recording and checks it on the seconds held back; then
+collects tire data with it, trains its network, tunes lpv-mpc, drives `circuit`, and writes adopt.md
+into the car's folder: what to believe, and what not. Each stage leaves its file; --resume goes on
+after the last one. Exit codes: 0 done; 2 bad input; 3 the car did not complete the circuit;
+130 interrupted.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from lpvmpc.errors import DataError, OptionError
+from lpvmpc.kit import cli
+from lpvmpc.kit.files import read_json, write_json, write_text
+from lpvmpc.kit.markdown import markdown_table
+from lpvmpc.kit.provenance import machine
+from lpvmpc.kit.report import versions_line
+
+if TYPE_CHECKING:
+    from lpvmpc.identify.conduct import Replay
+
+STAGES = {"fit": 120.0, "collect": 420.0, "train": 420.0, "tune": 420.0, "drive": 120.0}
+"""Stages in their order, and how long each takes on two cores, for the estimate [s]."""
+DONE_FILE = "adopt.json"
+"""Which stages are through, with their times and results."""
+GRIP = 0.87
+"""Share of the lateral limit at which `circuit` is driven."""
+WORLDS = ("ideal", "rtk")
+"""Where it is driven."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Adopt a recorded car: identify it, train and tune a controller for it, drive it, report."""
+
+    recording: Annotated[tuple[Path, ...], cli.Option(
+        positional=True, metavar="RECORDING",
+        help="CSV file as `lpvmpc replay` reads it; of several, all are identified on.",
+    )] = ()
+    out: Path | None = None
+    """Folder of the car."""
+    fit: tuple[str, ...] = ("lf", "lr", "Cf", "Cr", "relaxation")
+    """Parameters to identify; see `lpvmpc replay`."""
+    held_back: float = 0.25
+    """Share of the recording, at its end, on which the car is checked and not identified."""
+    car: Path | None = None
+    """Car to begin with: mass, inertia, springs and what else is not identified (default: the
+    packaged one)."""
+    samples: int = 2688
+    """Number of tire samples."""
+    epochs: int | None = None
+    """Passes of training over the data (default: the preset's)."""
+    generations: int = 2
+    """Generations of the search for weights; 0 keeps those that ship."""
+    resume: bool = False
+    """Go on after the last stage that is through."""
+    jobs: int = 0
+    """Processes; 0 for one per core."""
+
+
+def main(options: Options) -> int:
+    """Run the stages that are missing; returns the exit code."""
+    if not options.recording:
+        raise OptionError("RECORDING", None, "the CSV file of a recording")
+    if options.out is None:
+        raise OptionError("--out", None, "the folder of the car, cars/mine say")
+    cli.check_number("--held-back", options.held_back, 0.05, 0.8)
+    cli.check_number("--generations", options.generations, 0, 1000)
+    cli.check_number("--samples", options.samples, 200, 1_000_000)
+    cli.check_number("--jobs", options.jobs, 0, 1024)
+    from lpvmpc.identify.candidate import check_names
+
+    check_names(options.fit)
+    out = options.out
+    cli.results_folder(out, "adopt")
+    through = _through(out / DONE_FILE, options)
+    work: dict[str, Callable[[Options, Path], dict[str, Any]]] = {
+        "fit": _fit, "collect": _collect, "train": _train, "tune": _tune, "drive": _drive,
+    }
+    for name in STAGES:
+        if name in through["stages"]:
+            print(f"{name}: done before")
+            continue
+        left = sum(s for stage, s in STAGES.items() if stage not in through["stages"])
+        print(f"{name}: begins; about {left / 60:.0f} minutes left", flush=True)
+        begun = time.monotonic()
+        result = work[name](options, out)
+        through["stages"][name] = {"seconds": time.monotonic() - begun, **result}
+        write_json(out / DONE_FILE, through)
+    text = _report(through)
+    write_text(out / "adopt.md", text)
+    print(text)
+    print(f"Saved {out}/ (vehicle.xml, network.safetensors, adopt.md, adopt.json)")
+    complete = all(one["completed"] for one in through["stages"]["drive"]["runs"].values())
+    return cli.DONE if complete else cli.NOT_COMPLETED
+
+
+def _through(file: Path, options: Options) -> dict[str, Any]:
+    """Stages that are through.
+
+    Raises:
+        OptionError: The folder holds an adoption already, or one with other options.
+    """
+    asked = {
+        "recording": [str(one) for one in options.recording], "fit": list(options.fit),
+        "held_back": options.held_back, "car": str(options.car or ""), "samples": options.samples,
+        "epochs": options.epochs, "generations": options.generations,
+    }
+    if not file.exists():
+        return {"options": asked, "stages": {}}
+    if not options.resume:
+        raise OptionError("--out", str(file.parent), "a folder without adopt.json; --resume goes "
+                          "on with what it holds")
+    try:
+        told = read_json(file)
+    except (OSError, ValueError) as error:
+        raise DataError(f"{file} cannot be read: {error}.") from None
+    if not isinstance(told, dict) or told.get("options") != asked:
+        raise OptionError("--resume", str(file.parent), "given with the options of before")
+    return told
+
+
+def _fit(options: Options, out: Path) -> dict[str, Any]:
+    """Identify the car on the first part of each recording, check it on the rest."""
+    from lpvmpc.identify.candidate import Candidate
+    from lpvmpc.identify.conduct import conduct
+    from lpvmpc.identify.recording import read_recording
+    from lpvmpc.identify.saved import save
+    from lpvmpc.plant.car_folder import read_car
+
+    recordings = [read_recording(file) for file in options.recording]
+    cuts = [round(len(one.t) * (1.0 - options.held_back)) for one in recordings]
+    first = [one.rows(0, cut) for one, cut in zip(recordings, cuts, strict=True)]
+    rest = [one.rows(cut, len(one.t)) for one, cut in zip(recordings, cuts, strict=True)]
+    start = Candidate.of(read_car(options.car).model)
+    found = conduct(start, rest[0], options.fit, first)
+    checks = [found]
+    for other in rest[1:]:
+        checks.append(conduct(found.candidates["plant"], other))
+    save(out, found)
+    fit = found.fits["plant"]
+    return {
+        "fit": fit.as_json(), "ratio_linear": found.ratio("linear"),
+        "held_back": {one.recording.name: _told(one) for one in checks},
+    }
+
+
+def _told(replay: Replay) -> dict[str, float | None]:
+    return {name: one.r2 for name, one in replay.scores["plant"].whole.items()}
+
+
+def _collect(options: Options, out: Path) -> dict[str, Any]:
+    from lpvmpc.commands import collect
+
+    collect.main(collect.Options(
+        samples=options.samples, out=out / "stiffness.parquet", car=out, jobs=options.jobs,
+        resume=(out / "stiffness.parquet").exists(),
+    ))
+    return {"samples": options.samples}
+
+
+def _train(options: Options, out: Path) -> dict[str, Any]:
+    from lpvmpc.commands import train
+
+    train.main(train.Options(
+        data=out / "stiffness.parquet", car=out, epochs=options.epochs,
+        out=out / "network.safetensors",
+    ))
+    return {}
+
+
+def _tune(options: Options, out: Path) -> dict[str, Any]:
+    from lpvmpc.commands import tune
+
+    if not options.generations:
+        return {"generations": 0}
+    tune.main(tune.Options(
+        controller="lpv-mpc", generations=options.generations, population=6, car=out,
+        jobs=options.jobs or cli.cores(), out=out / "tuning",
+    ))
+    return {"generations": options.generations}
+
+
+def _drive(options: Options, out: Path) -> dict[str, Any]:
+    from lpvmpc.commands import track
+
+    runs = {}
+    for world in WORLDS:
+        folder = out / "runs" / world
+        track.main(track.Options(
+            scenario="circuit", grip=GRIP, world=world, car=out, out=folder,
+        ))
+        told = read_json(folder / "metrics.json")
+        runs[world] = {name: told[name] for name in (
+            "completed", "reason", "lateral_rmse_m", "lateral_max_m", "duration_s",
+        )}
+    return {"runs": runs}
+
+
+def _report(through: dict[str, Any]) -> str:
+    """What was found, and what to believe of it."""
+    stages = through["stages"]
+    fit = stages["fit"]["fit"]
+    believe = [f"- {one}" for one in fit["warnings"]]
+    for name, scores in stages["fit"]["held_back"].items():
+        for channel, r2 in scores.items():
+            if r2 is not None and r2 < 0.95:
+                believe.append(f"- On the held-back seconds of {name} the car explains only "
+                               f"{r2:.3f} of {channel}: do not trust it beyond gentle driving.")
+    if stages["fit"]["ratio_linear"] > 1.0:
+        believe.append("- A linear single track, fitted alike, is nearer to the held-back seconds.")
+    for world, run in stages["drive"]["runs"].items():
+        if not run["completed"]:
+            believe.append(f"- In the world {world} the car did not complete: {run['reason']}.")
+    rows = [
+        [name, f"{one['value']:.6g}", f"{one['low95']:.6g} to {one['high95']:.6g}", one["unit"]]
+        for name, one in fit["parameters"].items()
+    ]
+    drives = [
+        [world, f"{1000 * run['lateral_rmse_m']:.2f}", f"{1000 * run['lateral_max_m']:.1f}",
+         f"{run['duration_s']:.1f}", "yes" if run["completed"] else "no"]
+        for world, run in stages["drive"]["runs"].items()
+    ]
+    times = ", ".join(f"{name} {one['seconds']:.0f} s" for name, one in stages.items())
+    held = [
+        [name, *(f"{r2:.4f}" for r2 in scores.values() if r2 is not None)]
+        for name, scores in stages["fit"]["held_back"].items()
+    ]
+    channels = [name for name, r2 in next(iter(stages["fit"]["held_back"].values())).items()
+                if r2 is not None]
+    return "\n".join([
+        f"# The car of {', '.join(through['options']['recording'])}", "",
+        *(believe or ["Nothing was found that speaks against the identified car."]), "",
+        "What is not identified is that of the car that was begun with; see README.md. A recording "
+        "says nothing of what it does not hold: of friction where it only drives gently, of mass "
+        "where no force is known.", "",
+        f"{machine()}. {versions_line()}", f"Time: {times}.", "",
+        markdown_table("Identified", ["parameter", "value", "95 % interval", "unit"], rows,
+                       ["unit"]),
+        markdown_table("R2 on the held-back seconds", ["recording", *channels], held),
+        markdown_table(
+            f"lpv-mpc, own network, on circuit at {100 * GRIP:g} % of the lateral limit [mm]",
+            ["world", "RMSE", "largest", "time [s]", "completed"], drives,
+        ),
+    ])

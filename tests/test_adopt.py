@@ -1,0 +1,62 @@
+"""Adopting a car: options that are refused, stages that are not repeated."""
+
+import json
+
+import pytest
+
+from lpvmpc.commands import adopt
+from lpvmpc.kit import cli
+
+BAD = [
+    ([], "RECORDING"),
+    (["a.csv"], "--out"),
+    (["a.csv", "--out", "car", "--held-back", "0.9"], "--held-back"),
+    (["a.csv", "--out", "car", "--fit", "wings"], "Unknown parameter 'wings'"),
+    (["a.csv", "--out", "car"], "There is no recording a.csv"),
+]
+
+
+@pytest.mark.parametrize(("words", "message"), BAD)
+def test_bad_options_are_one_line(words, message, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert cli.run(adopt.Options, adopt.main, words) == 2
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1
+
+
+def test_stages_that_are_through_are_not_repeated(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    called = []
+    fit = {"warnings": [], "parameters": {
+        "Cf": {"value": 1.2e5, "low95": 1.1e5, "high95": 1.3e5, "unit": "N/rad"}}}
+    results = {
+        "fit": {"fit": fit, "ratio_linear": 2.0, "held_back": {"a.csv": {"r": 0.9, "vy": None}}},
+        "drive": {"runs": {"ideal": {
+            "completed": False, "reason": "left the road", "lateral_rmse_m": 0.001,
+            "lateral_max_m": 0.01, "duration_s": 90.0}}},
+    }
+
+    def stage(name, fails=False):
+        def run(options, out):
+            called.append(name)
+            if fails:
+                raise KeyboardInterrupt
+            return results.get(name, {})
+
+        return run
+
+    for name in adopt.STAGES:
+        monkeypatch.setattr(adopt, f"_{name}", stage(name, fails=name == "train"))
+    words = ["a.csv", "--out", "car"]
+    assert cli.run(adopt.Options, adopt.main, words) == 130
+    assert called == ["fit", "collect", "train"]
+    monkeypatch.setattr(adopt, "_train", stage("train"))
+    assert cli.run(adopt.Options, adopt.main, words) == 2  # what is there is not overwritten
+    assert cli.run(adopt.Options, adopt.main, [*words, "--resume", "--samples", "300"]) == 2
+    assert cli.run(adopt.Options, adopt.main, [*words, "--resume"]) == 3
+    assert called == ["fit", "collect", "train", "train", "tune", "drive"]
+    told = (tmp_path / "car" / "adopt.md").read_text()
+    assert "only 0.900 of r" in told and "did not complete: left the road" in told
+    assert "linear single track" in told
+    assert set(json.loads((tmp_path / "car" / "adopt.json").read_text())["stages"]) == {
+        "fit", "collect", "train", "tune", "drive"}
