@@ -52,7 +52,7 @@ def test_stages_that_are_through_are_not_repeated(tmp_path, monkeypatch):
     assert called == ["fit", "collect", "train"]
     monkeypatch.setattr(adopt, "_train", stage("train"))
     assert cli.run(adopt.Options, adopt.main, words) == 2  # what is there is not overwritten
-    assert cli.run(adopt.Options, adopt.main, [*words, "--resume", "--samples", "300"]) == 2
+    assert cli.run(adopt.Options, adopt.main, [*words, "--resume", "--samples", "3000"]) == 2
     assert cli.run(adopt.Options, adopt.main, [*words, "--resume"]) == 3
     assert called == ["fit", "collect", "train", "train", "tune", "drive"]
     told = (tmp_path / "car" / "adopt.md").read_text()

@@ -111,6 +111,29 @@ def test_hidden_stiffness_and_geometry_come_back(packaged):
     assert found.timing.value == pytest.approx(-0.0027, abs=0.002)
 
 
+@pytest.mark.slow
+def test_intervals_hold_the_truth_in_ninety_of_a_hundred_draws(packaged):
+    hidden = {"lf": 1.25, "lr": 1.5, "Cf": 1.15e5, "Cr": 2.4e5}
+    car = packaged.with_values(hidden)
+    data = drive(car.model(), seconds=10.0)
+    inside = dict.fromkeys(hidden, 0)
+    for seed in range(100):
+        found = fit(car, list(hidden), [noisy(data, seed)], plant())
+        for one in found.parameters:
+            inside[one.name] += one.low95 <= hidden[one.name] <= one.high95
+    assert min(inside.values()) >= 90, inside
+
+
+@pytest.mark.slow
+def test_stiffness_comes_back_without_a_measured_side_speed(packaged):
+    hidden = {"Cf": 1.15e5, "Cr": 2.4e5}
+    data = drive(packaged.with_values(hidden).model(), seconds=20.0)
+    for seed in range(3):
+        found = fit(packaged, list(hidden), [noisy(data, seed, vy=False)], plant())
+        for one in found.parameters:
+            assert one.value == pytest.approx(hidden[one.name], rel=0.03)
+
+
 def test_mass_is_not_identifiable_from_yaw_rate_alone(own, packaged):
     data = noisy(own.rows(0, 200), 0, vy=False)
     found = fit(packaged, ["m", "Iz", "Cf", "Cr"], [data], plant(), evaluations=6)

@@ -55,7 +55,7 @@ class Options:
     car: Path | None = None
     """Car to begin with: mass, inertia, springs and what else is not identified (default: the
     packaged one)."""
-    samples: int = 2688
+    samples: int = 10752
     """Number of tire samples."""
     epochs: int | None = None
     """Passes of training over the data (default: the preset's)."""
@@ -75,7 +75,7 @@ def main(options: Options) -> int:
         raise OptionError("--out", None, "the folder of the car, cars/mine say")
     cli.check_number("--held-back", options.held_back, 0.05, 0.8)
     cli.check_number("--generations", options.generations, 0, 1000)
-    cli.check_number("--samples", options.samples, 200, 1_000_000)
+    cli.check_number("--samples", options.samples, 2000, 1_000_000)
     cli.check_number("--jobs", options.jobs, 0, 1024)
     from lpvmpc.identify.candidate import check_names
 
