@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from lpvmpc.car.current import current
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.errors import UnknownNameError
 from lpvmpc.kit.findings import Finding, Limit, Table
@@ -113,8 +114,11 @@ class StudyResult:
             unit: Its unit, in at most 8 characters; empty for a pure number.
             limit: What it must be.
             why: Where the limit comes from.
-            target: Whether it is one of the handling targets of models/README.md.
+            target: Whether it is one of the handling targets of models/README.md, which are the
+                packaged car's: of another car it is left out.
         """
+        if target and current() is not None:
+            return
         finding = StudyFinding(
             study=self.study,
             figure=figure,

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from lpvmpc.car import magic_formula as mf
+from lpvmpc.car.current import current
 from lpvmpc.kit.findings import Limit
 from lpvmpc.picture import style
 from lpvmpc.studies.parts.tire_bench import Bench
@@ -267,6 +268,8 @@ def _extremes(result: StudyResult, tires: dict[str, Array], bench: Bench) -> Non
 def _golden(result: StudyResult, tires: dict[str, Array]) -> None:
     stored = golden_tire.read()
     other = mf.coefficients(stored["coefficients"]["adams"])
+    if current() is not None:  # the stored ones are of the packaged car's tires
+        tires = {}
     for name, c in {**tires, "adams": other}.items():
         error = 0.0
         for which, Fz, kappa, alpha, Fx, Fy in stored["rows"]:

@@ -10,7 +10,7 @@ import numpy as np
 from lpvmpc.car import magic_formula as mf
 from lpvmpc.interface import Command
 from lpvmpc.plant import callbacks
-from lpvmpc.plant.mjcf import WHEELS, numeric, tires
+from lpvmpc.plant.mjcf import WHEELS, drive_front, numeric, tires
 from lpvmpc.plant.plant import Plant
 from lpvmpc.plant.rollout import SPIN_QVEL
 from lpvmpc.units import Array
@@ -134,7 +134,9 @@ def ledger(plant: Plant, r: Recording) -> Ledger:
     brake_front = numeric(m, "powertrain")[4]
     shares = 0.5 * np.array([brake_front, brake_front, 1.0 - brake_front, 1.0 - brake_front])
     spin = body.rates[:, list(SPIN_QVEL)]  # (n, 4)
-    flows["drive"] += r.outputs[:, callbacks.TORQUE_DRIVE] * spin[:, :2].mean(axis=1)
+    share = drive_front(plant.model)
+    driven = share * spin[:, :2].mean(axis=1) + (1.0 - share) * spin[:, 2:].mean(axis=1)
+    flows["drive"] += r.outputs[:, callbacks.TORQUE_DRIVE] * driven
     for i in range(4):
         c = tires(m)[i // 2].c
         Fx, Fy, Fz, angle = (

@@ -28,7 +28,9 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from lpvmpc.car import magic_formula as mf
+from lpvmpc.car.current import current, per_car
 from lpvmpc.car.params import VehicleParams
+from lpvmpc.errors import LPVMPCError
 from lpvmpc.plant.mjcf import compile_model, parameters, tires
 from lpvmpc.units import GRAVITY, Array
 
@@ -130,7 +132,7 @@ def translate(model: mujoco.MjModel) -> Parameters:
         h_raf=loads[0] / KZ, h_rar=loads[1] / KZ, h_cg=p.h,
         h_s=float(model.qpos0[2] + model.body_ipos[chassis][2]),
         I_uf=unsprung[0] * (p.track_f / 2.0) ** 2, I_ur=unsprung[1] * (p.track_r / 2.0) ** 2,
-        I_y_w=p.J_w, K_lt=0.0, R_w=p.R_w, T_sb=p.brake_front, T_se=1.0,
+        I_y_w=p.J_w, K_lt=0.0, R_w=p.R_w, T_sb=p.brake_front, T_se=p.drive_front,
         D_f=0.0, D_r=0.0, E_f=0.0, E_r=0.0,
     )
 
@@ -211,8 +213,21 @@ def compute() -> dict[str, Any]:
     }
 
 
+@per_car
 def read() -> dict[str, Any]:
-    """The stored values, as `compute` returns them, with their `source`."""
+    """The stored values, as `compute` returns them; of another car than the packaged one, computed.
+
+    Raises:
+        LPVMPCError: commonroad-vehicle-models is not installed, and another car is meant.
+    """
+    if (car := current()) is not None:
+        try:
+            return compute()
+        except ImportError:
+            raise LPVMPCError(
+                f"Comparing {car} with CommonRoad's multibody car needs the package "
+                "commonroad-vehicle-models; pip install 'lpvmpc[fidelity]' brings it."
+            ) from None
     stored: dict[str, Any] = json.loads(FILE.read_text())
     return stored
 
