@@ -43,7 +43,7 @@ def test_an_unknown_command_is_one_sentence(capsys):
 
 @pytest.mark.parametrize("name", commands.COMMANDS)
 def test_every_command_is_a_module_with_options_and_main(name):
-    module = import_module(f"lpvmpc.commands.{name}")
+    module = import_module(commands.module_of(name))
     assert callable(module.main) and module.Options() == module.Options()
 
 
@@ -58,7 +58,7 @@ def test_command_and_script_have_the_same_options(root, tmp_path):
 @pytest.mark.parametrize("name", commands.COMMANDS)
 def test_a_script_is_its_command_and_nothing_else(root, name):
     lines = (root / SCRIPTS[name]).read_text().splitlines()
-    assert f"from lpvmpc.commands.{name} import Options, main" in lines and len(lines) < 12
+    assert f"from {commands.module_of(name)} import Options, main" in lines and len(lines) < 12
 
 
 @pytest.mark.parametrize(

@@ -382,7 +382,7 @@ def test_a_dead_display_is_one_sentence(run, road, monkeypatch):
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     code, out, err = run("--scenario", road, "--view", "--out", "here")
     assert code == 2 and err.count("\n") == 1
-    assert "--view cannot open a window on this display" in err
+    assert "No window can be opened on this display; --render" in err
 
 
 # Worlds ------------------------------------------------------------------------------------------

@@ -14,6 +14,8 @@ from lpvmpc.kit.streams import lasting
 
 COMMANDS = {
     "track": "drive a scenario: table, trace, figures, video",
+    "view": "replay a run in MuJoCo's viewer, or as a page for the browser",
+    "export": "write a run as CSV, or as MCAP for Foxglove and PlotJuggler",
     "compare": "drive a scenario with two or more controllers, side by side",
     "tune": "tune a controller's weights within a budget",
     "collect": "collect tire data: random manoeuvres up to the grip limit",
@@ -31,6 +33,8 @@ COMMANDS = {
     "speed": "measure how fast the package is on this machine",
 }
 """Commands by name, in the order of the help. Each is the module of its name, with underscores."""
+SHORT = ("view", "export")
+"""Those whose modules lie in parts/."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -56,9 +60,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     from lpvmpc.kit import cli
 
-    command = import_module(f"lpvmpc.commands.{name.replace('-', '_')}")
+    command = import_module(module_of(name))
     sys.argv = [f"lpvmpc {name}", *words[1:]]  # what the command's help calls itself
     return cli.run(command.Options, command.main)
+
+
+def module_of(name: str) -> str:
+    """The module of a command."""
+    return f"lpvmpc.commands.{'parts.' if name in SHORT else ''}{name.replace('-', '_')}"
 
 
 def _help() -> str:

@@ -107,7 +107,7 @@ def main(options: Options) -> int:
 def options_of_all() -> dict[str, type]:
     """The options of every command but this one, which would try itself."""
     names = [name for name in commands.COMMANDS if name != NAME]
-    return {name: import_module(f"lpvmpc.commands.{name.replace('-', '_')}").Options
+    return {name: import_module(commands.module_of(name)).Options
             for name in names}
 
 

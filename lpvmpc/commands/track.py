@@ -8,7 +8,6 @@ Exit codes: 0 done; 2 bad input, one line on stderr; 3 the car did not complete 
 
 from __future__ import annotations
 
-import os
 import re
 import sys
 import warnings
@@ -16,10 +15,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from lpvmpc.commands.parts.pages import REPORT, film_of, write_page
 from lpvmpc.commands.parts.the_car import CarPlace, TireFile, with_car
 from lpvmpc.commands.parts.track_table import print_table
+from lpvmpc.commands.parts.windows import check_display
 from lpvmpc.control.registry import CONTROLLERS, STIFFNESS_MODELS
 from lpvmpc.errors import LPVMPCError, OptionError, RenderError
+from lpvmpc.export.names import FILES, FORMATS, check_format, export
 from lpvmpc.kit import cli
 from lpvmpc.kit.files import readable, replacing, write_json
 from lpvmpc.kit.progress import Bar
@@ -68,6 +70,15 @@ class Options:
     """Make a video: videos/SCENARIO-CONTROLLER.mp4."""
     view: bool = False
     """Watch the run live in MuJoCo's interactive viewer."""
+    report: bool = False
+    """Write report.html beside the results: film (with --render), linked plots, map, settings."""
+    export: Annotated[
+        str | None,
+        cli.Option(metavar="FORMAT", help=(
+            f"Write the trace for other tools as well: {', '.join(FORMATS)} (Foxglove, "
+            "PlotJuggler)."
+        )),
+    ] = None
     v_max: float | None = None
     """Top speed of a planned speed profile [m/s]."""
     ay_max: float | None = None
@@ -173,13 +184,17 @@ def main(options: Options) -> int:
     if len(log) == 0 and log.meta["reason"] == "interrupted":
         raise KeyboardInterrupt  # before the first instant: nothing to save
     result = metrics(log)
-    interrupted = not save(options, log, result, out)
+    content = {**result, "record": record_of(options, log)}
+    interrupted = not save(options, log, content, out)
     if scenario.path.largest_shift > 0.0:
         print(f"Road: {scenario.source}")
     print_table(result, log)
     print(f"Saved {out}/ (metrics.json, trace.parquet, timing.parquet, figures/)")
     if video is not None and len(log) > 1 and not interrupted:
         interrupted = not film(log, video)
+    if options.report and len(log) > 1 and not interrupted:
+        filmed = video and film_of(out.absolute(), name, out / "trace.parquet")
+        print(f"Saved {write_page(log, content, out, filmed)}")
     if interrupted:
         return cli.INTERRUPTED
     return cli.DONE if result["completed"] else cli.NOT_COMPLETED
@@ -196,10 +211,10 @@ def check(options: Options) -> None:
     cli.check_choice("--stiffness", options.stiffness, STIFFNESS_MODELS)
     if options.closed and options.no_closed:
         raise LPVMPCError("--closed and --no-closed exclude each other; give only one.")
-    if options.view and sys.platform.startswith("linux"):
-        if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-            raise RenderError("--view needs a display, but neither DISPLAY nor WAYLAND_DISPLAY is "
-                              "set; --render makes a video without one.")
+    cli.check_choice("--export", options.export, FORMATS)
+    check_format(options.export)
+    if options.view:
+        check_display("--view", "--render makes a video without one.")
 
 
 def scenario_options(options: Options) -> dict[str, Any]:
@@ -285,26 +300,37 @@ def open_viewer(plant: Plant, road: Road) -> Viewer:
     return Viewer(plant, road)
 
 
-RESULTS = ("metrics.json", "figures/*.png", "timing.parquet", "trace.parquet")
+RESULTS = ("metrics.json", "figures/*.png", "timing.parquet", "trace.parquet", REPORT, *FILES)
 """What a run leaves in its folder; the last run's results stay until all of these are there."""
 
 
-def save(options: Options, log: Log, result: dict[str, Any], out: Path) -> bool:
-    """Write trace, timing, figures and metrics.json, all together; False after an interrupt."""
-    whole = log.meta["reason"] != "interrupted"
+def record_of(options: Options, log: Log) -> dict[str, Any]:
+    """What led to the run's numbers."""
     given = {k: readable(v) if isinstance(v, Path | str) else v for k, v in asdict(options).items()}
-    record = {
+    return {
         "options": given,
         "weights": log.weights,
         "clamped_inputs": log.meta["clamped_inputs"],
+        "footprint_m": log.meta["footprint_m"],
         "estimator_events": log.meta["estimator_events"],
         "estimator_unknowns": log.meta["estimator_unknowns"],
         "warnings": log.scenario.warnings,
         "commit": commit(),
         "machine": machine(),
     }
+
+
+def save(options: Options, log: Log, content: dict[str, Any], out: Path) -> bool:
+    """Write trace, timing, figures, export and metrics.json, all together.
+
+    Returns:
+        False after an interrupt.
+    """
+    whole = log.meta["reason"] != "interrupted"
     with replacing(out, RESULTS) as new:
         log.write(new)
+        if options.export is not None:
+            export(log, content, new, options.export)
         if whole and len(log) > 1:
             try:
                 from lpvmpc.picture.figures import save_all
@@ -312,9 +338,9 @@ def save(options: Options, log: Log, result: dict[str, Any], out: Path) -> bool:
                 save_all(log, new / "figures")
             except KeyboardInterrupt:  # the figures are given up, the measurements are not
                 whole = False
-        write_json(new / "metrics.json", {**result, "record": record})
+        write_json(new / "metrics.json", content)
     if options.json is not None:
-        write_json(options.json, result)
+        write_json(options.json, {k: v for k, v in content.items() if k != "record"})
     return whole
 
 

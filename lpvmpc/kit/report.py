@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import date
+from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -105,3 +108,25 @@ def record(**more: Any) -> dict[str, Any]:
 def finite(value: Any) -> Any:
     """A value that JSON can hold: None for a number that is not finite."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def page_of(package: str, template: str, data: Any, parts: Mapping[str, str]) -> str:
+    """An HTML page that needs nothing else: a template, filled.
+
+    A template marks with `@NAME@` where its parts go. `@STYLE@` is the style that all pages share,
+    and `@DATA@` goes into a script of type application/json, which no text of the data can end.
+
+    Args:
+        package: The package in which the template lies, as `lpvmpc.picture`.
+        template: Its file.
+        data: What JSON can hold, for the page's script.
+        parts: Further parts by their name in capitals: HTML, put in as it is.
+
+    Raises:
+        ValueError: A number of the data is not finite.
+    """
+    text = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    style = (resources.files("lpvmpc.kit") / "page.css").read_text("utf-8").rstrip("\n")
+    found = {"STYLE": style, "DATA": text, **parts}
+    source = (resources.files(package) / template).read_text("utf-8")
+    return re.sub(r"@([A-Z]+)@", lambda mark: found[mark[1]], source)

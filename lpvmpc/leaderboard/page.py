@@ -7,13 +7,11 @@ them are computed in Python: the script sorts, filters and draws, and decides no
 from __future__ import annotations
 
 import html
-import json
 import re
 from collections.abc import Mapping
-from importlib import resources
 from typing import Any
 
-from lpvmpc.kit.report import finite
+from lpvmpc.kit.report import finite, page_of
 from lpvmpc.leaderboard.grid import is_slow
 from lpvmpc.leaderboard.pictures import colour
 from lpvmpc.leaderboard.profiles import profiles
@@ -31,21 +29,17 @@ def page(board: Board, values: Mapping[str, Any]) -> str:
         board: What was driven.
         values: Its numbers, as `tables.as_json` gives them.
     """
-    template = (resources.files("lpvmpc.leaderboard") / "page.html").read_text("utf-8")
     record = values["record"]
     about = (
         f"{len(board.rows)} runs in {len(board.table)} cells; {record['machine']}; commit "
         f"{record['commit'] or 'unknown'}; rows SHA-256 {values['rows_sha256']}"
     )
-    data = json.dumps(_data(board, values), separators=(",", ":"), allow_nan=False)
-    parts = {
+    return page_of("lpvmpc.leaderboard", "page.html", _data(board, values), {
         "ABOUT": html.escape(about),
         "QUICK": "<p class='note'>A quick look: a few runs, not the report.</p>"
         if record["plan"]["quick"] else "",
         "SENTENCES": "\n".join(f"<li>{_marked(text)}</li>" for text in values["sentences"]),
-        "DATA": data.replace("<", "\\u003c"),
-    }
-    return re.sub(r"@(ABOUT|QUICK|SENTENCES|DATA)@", lambda found: parts[found[1]], template)
+    })
 
 
 def _marked(text: str) -> str:

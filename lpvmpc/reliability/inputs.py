@@ -70,7 +70,11 @@ OUT_OF_RANGE: dict[str, str] = {
         --controller json:Nothing | --controller json:loads | --controller : | --controller os:
         --stiffness rigid | --world mars | --world none.toml | --estimator guess | --estimator x:Y
         --weights none.toml | --weights none.toml --controller json:JSONDecoder
-        --json /dev/null/x | --out /dev/null/x | --out /proc/x""",
+        --json /dev/null/x | --out /dev/null/x | --out /proc/x | --export bag""",
+    "view": """empty-folder | empty-folder --html | none --html | --html | a b --html | roads --html
+        empty-folder --speed 0 | empty-folder --speed nan --html | /dev/null --html""",
+    "export": """empty-folder | none | a b | empty-folder --to bag | /dev/null | /proc
+        empty-folder --to csv | none --to csv""",
     "compare": """--controllers lpv-mpc | --controllers lpv-mpc lpv-mpc | --controllers a b
         --controllers lpv-mpc/rigid stanley | --controllers stanley none:Class
         --controllers stanley pure-pursuit lpv-mpc lpv-mpc-paper lmpc-pso-pid a b
@@ -128,7 +132,7 @@ def _by_type(options: Any) -> Iterator[tuple[str, ...]]:
         if kind is bool:
             yield (f"{flag}=yes",)
             continue
-        if field.name == "studies":  # positional
+        if _positional(hints[field.name]):
             continue
         yield (flag,)
         if get_origin(kind) is Literal:
@@ -136,6 +140,12 @@ def _by_type(options: Any) -> Iterator[tuple[str, ...]]:
         elif kind in (int, float):
             for word in (*NO_NUMBERS[:3], *(NO_INTEGERS[:2] if kind is int else ())):
                 yield (flag, word)
+
+
+def _positional(hint: Any) -> bool:
+    """Whether an option's values come without a name."""
+    extras = get_args(hint)[1:] if get_origin(hint) is Annotated else ()
+    return any(isinstance(extra, cli.Option) and extra.positional for extra in extras)
 
 
 def _kind(hint: Any) -> Any:

@@ -190,3 +190,36 @@ def _write_webp(path: FilePath, pictures: list[Any], fps: int, quality: int) -> 
             picture.pts, picture.time_base = number, Fraction(1, fps)
             container.mux(stream.encode(picture))
         container.mux(stream.encode())
+
+
+def smaller(video: str | FilePath, path: str | FilePath, width: int) -> FilePath:
+    """A copy of a video with smaller pictures, for a page.
+
+    Args:
+        video: File of `render_video`.
+        path: File to write, .mp4.
+        width: Width of its pictures [px], even.
+
+    Returns:
+        The file written.
+
+    Raises:
+        DataError: The video is missing or damaged.
+        OutputError: The file cannot be written.
+    """
+    import av
+
+    try:
+        with av.open(str(video)) as source:
+            picture = source.streams.video[0]
+            fps = round(picture.average_rate or 30)
+            height = round(width * picture.height / picture.width / 2.0) * 2
+            with Encoder(FilePath(path), width, height, fps) as copy:
+                for frame in source.decode(picture):
+                    copy.add(frame.reformat(width, height, "rgb24", interpolation="AREA")
+                             .to_ndarray())
+    except (OSError, IndexError, av.FFmpegError) as error:
+        if isinstance(error, OutputError):
+            raise
+        raise DataError(f"Cannot read the video {str(video)!r}: {error}.") from error
+    return FilePath(path)

@@ -1,9 +1,10 @@
-"""A run live, in MuJoCo's interactive viewer."""
+"""A run live or again, in MuJoCo's interactive viewer."""
 
 from __future__ import annotations
 
 import time
 import warnings
+from typing import Any
 
 import glfw
 import mujoco
@@ -11,25 +12,25 @@ from mujoco import viewer
 
 from lpvmpc.errors import RenderError
 from lpvmpc.picture.video import scenery
+from lpvmpc.picture.video.render import Motion
 from lpvmpc.plant.plant import Plant
 from lpvmpc.road.path import Path
+from lpvmpc.units import Array
+
+FPS = 60
+"""Pictures per second of a replay."""
 
 
-class Viewer:
-    """MuJoCo's interactive viewer on the scenery of the road, not faster than real time.
+class Window:
+    """MuJoCo's interactive viewer on the scenery of a road."""
 
-    It shows a copy: nothing done in its window reaches the car. When the window is closed the run
-    goes on at full speed.
-    """
-
-    def __init__(self, plant: Plant, road: Path):
+    def __init__(self, road: Path, instead: str, cones: Any = ()):
+        """Args: the road, a sentence on what works without a window, places of cones (n, 2)."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", glfw.GLFWError)  # said in our own words instead
             if not glfw.init():
-                raise RenderError("--view cannot open a window on this display; --render makes a "
-                                  "video without one.")
-        self.plant = plant
-        self.scenery = scenery.build(road, width=1280, height=720)
+                raise RenderError(f"No window can be opened on this display; {instead}")
+        self.scenery = scenery.build(road, width=1280, height=720, cones=cones)
         self.data = mujoco.MjData(self.scenery.model)
         self.window = viewer.launch_passive(
             self.scenery.model, self.data, show_left_ui=False, show_right_ui=False
@@ -37,19 +38,43 @@ class Viewer:
         self.window.cam.type = mujoco.mjtCamera.mjCAMERA_TRACKING
         self.window.cam.trackbodyid = self.scenery.model.body("chassis").id
         self.window.cam.distance, self.window.cam.elevation = 9.0, -18.0
+
+    def is_open(self) -> bool:
+        """Whether nobody has closed it."""
+        return bool(self.window.is_running())
+
+    def show(self, qpos: Array, x: float, y: float, psi: float) -> None:
+        """Show the car at generalised coordinates (nq,) and the place of its centre of mass."""
+        with self.window.lock():
+            self.data.qpos[:] = qpos
+            self.scenery.place(self.data, x, y, psi, sight=500.0)
+            mujoco.mj_kinematics(self.scenery.model, self.data)
+            mujoco.mj_camlight(self.scenery.model, self.data)
+        self.window.sync()
+
+    def close(self) -> None:
+        """Close it."""
+        self.window.close()
+
+
+class Viewer:
+    """A run live, not faster than real time.
+
+    It shows a copy: nothing done in its window reaches the car. When the window is closed the run
+    goes on at full speed.
+    """
+
+    def __init__(self, plant: Plant, road: Path):
+        self.plant = plant
+        self.window = Window(road, "--render makes a video without one.")
         self.start: float | None = None
 
     def show(self) -> None:
         """Show the plant as it is now, and wait for the clock."""
-        if not self.window.is_running():
+        if not self.window.is_open():
             return
         state = self.plant.state
-        with self.window.lock():
-            self.data.qpos[:] = self.plant.qpos
-            self.scenery.place(self.data, state.x, state.y, state.psi, sight=500.0)
-            mujoco.mj_kinematics(self.scenery.model, self.data)
-            mujoco.mj_camlight(self.scenery.model, self.data)
-        self.window.sync()
+        self.window.show(self.plant.qpos, state.x, state.y, state.psi)
         if self.start is None:
             self.start = time.monotonic()
         time.sleep(max(0.0, self.plant.time - (time.monotonic() - self.start)))
@@ -57,3 +82,28 @@ class Viewer:
     def close(self) -> None:
         """Close the window."""
         self.window.close()
+
+
+def replay(log: Any, speed: float = 1.0) -> None:
+    """Show a run from its log, again and again, until its window is closed.
+
+    Args:
+        log: Log of `simulate`, or of `read_run`, with two rows or more.
+        speed: Factor of real time.
+
+    Raises:
+        RenderError: No window can be opened here, or nothing moves.
+    """
+    motion = Motion(log, FPS / speed)
+    window = Window(log.scenario.path, "`lpvmpc view --html` makes a page.", log.scenario.cones)
+    try:
+        while window.is_open():
+            start = time.monotonic()
+            for k in range(len(motion)):
+                if not window.is_open():
+                    break
+                now = motion.at(k)
+                window.show(now["qpos"], now["x_m"], now["y_m"], now["psi_rad"])
+                time.sleep(max(0.0, k / FPS - (time.monotonic() - start)))
+    finally:
+        window.close()
