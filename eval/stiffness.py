@@ -2,7 +2,7 @@
 
 import sys
 
-from lpvmpc.commands.stiffness import Options, main
+from lpvmpc.commands.parts.stiffness import Options, main
 from lpvmpc.kit import cli
 
 if __name__ == "__main__":

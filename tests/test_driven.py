@@ -10,7 +10,7 @@ from lpvmpc.plant.mjcf import packaged_car
 from lpvmpc.sim.loop import simulate
 from lpvmpc.sim.names import load_controller
 
-COMMAND = "stiffness"
+COMMAND = "parts.stiffness"
 
 
 @pytest.fixture(scope="module")

@@ -33,7 +33,7 @@ COMMANDS = {
     "speed": "measure how fast the package is on this machine",
 }
 """Commands by name, in the order of the help. Each is the module of its name, with underscores."""
-SHORT = ("view", "export")
+SHORT = ("view", "export", "stiffness")
 """Those whose modules lie in parts/."""
 
 
