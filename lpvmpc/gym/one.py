@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import copy
 import math
-from typing import Any
 
 import mujoco
 import numpy as np
 
 from lpvmpc.interface import Command, State
+from lpvmpc.kit.provenance import model_sha256
 from lpvmpc.plant.actuation import Actuation
 from lpvmpc.plant.deviations import NOMINAL, deviated
 from lpvmpc.plant.mjcf import parameters
 from lpvmpc.plant.motion import mass_layout
 from lpvmpc.plant.plant import Plant
-from lpvmpc.plant.rollout import FRICTION
+from lpvmpc.plant.rollout import FRICTION, Snapshot
 from lpvmpc.plant.trim import gravity, place
 from lpvmpc.road.scenario import Scenario
 from lpvmpc.road.surface import PLAIN
@@ -31,6 +31,10 @@ SLOWEST, FASTEST, AY_MOST = 2.0, 40.0, 4.0
 """Domain of these states."""
 
 
+_KEPT: dict[str, dict[tuple[int, int], Snapshot]] = {}
+"""Steady states by the car's hash: all environments of a process share them."""
+
+
 class Starts:
     """Steady states of the nominal car, each settled when it is first asked for."""
 
@@ -38,7 +42,7 @@ class Starts:
         """Args: the car that settles; its state is changed by every new one."""
         self.plant = plant
         self.layout = mass_layout(plant.nominal_model)
-        self._kept: dict[tuple[int, int], Any] = {}
+        self._kept = _KEPT.setdefault(model_sha256(plant.nominal_model), {})
 
     def state(self, vx: float, kappa: float, x: float, y: float, course: float) -> Array:
         """Integration state of a car near a steady state, moved to a place and a course.
