@@ -2,7 +2,7 @@
 
 import sys
 
-from lpvmpc.commands.adopt import Options, main
+from lpvmpc.commands.recordings.adopt import Options, main
 from lpvmpc.kit import cli
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from lpvmpc.commands import adopt
+from lpvmpc.commands.recordings import adopt
 from lpvmpc.kit import cli
 
 BAD = [

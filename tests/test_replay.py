@@ -169,7 +169,7 @@ def test_the_shipped_recording_is_read_and_its_steering_is_held():
 
 
 def test_the_command_fits_saves_and_replays_with_the_saved_car(own, tmp_path, monkeypatch, capsys):
-    from lpvmpc.commands.replay import Options, main
+    from lpvmpc.commands.recordings.replay import Options, main
 
     monkeypatch.chdir(tmp_path)
     table = np.column_stack([own.t, own.delta, own.vx, own.r, own.vy])[:150]
@@ -195,7 +195,7 @@ BAD = [
 
 @pytest.mark.parametrize(("words", "message"), BAD)
 def test_bad_options_are_one_line(words, message, capsys, tmp_path, monkeypatch):
-    from lpvmpc.commands.replay import Options, main
+    from lpvmpc.commands.recordings.replay import Options, main
 
     monkeypatch.chdir(tmp_path)
     assert cli.run(Options, main, words) == 2

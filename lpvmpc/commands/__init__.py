@@ -33,8 +33,14 @@ COMMANDS = {
     "speed": "measure how fast the package is on this machine",
 }
 """Commands by name, in the order of the help. Each is the module of its name, with underscores."""
-SHORT = ("view", "export", "stiffness")
-"""Those whose modules lie in parts/."""
+FOLDERS = {
+    "view": "parts.",
+    "export": "parts.",
+    "stiffness": "parts.",
+    "replay": "recordings.",
+    "adopt": "recordings.",
+}
+"""Folders of those whose modules lie in one."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -67,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def module_of(name: str) -> str:
     """The module of a command."""
-    return f"lpvmpc.commands.{'parts.' if name in SHORT else ''}{name.replace('-', '_')}"
+    return f"lpvmpc.commands.{FOLDERS.get(name, '')}{name.replace('-', '_')}"
 
 
 def _help() -> str:

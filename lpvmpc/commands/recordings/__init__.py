@@ -1,0 +1,1 @@
+"""Commands on recordings of real cars: replay one, adopt its car."""
