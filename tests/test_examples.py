@@ -12,6 +12,7 @@ FOLDER = Path(__file__).parents[1] / "examples"
 SAYS = {
     "change_a_weight": r"q_ey .*\n(.* mm .* rad/s\n){3}",
     "compare_two": r"double-lane-change, 186 m +lpv-mpc +stanley\n",
+    "gym_random": r"^(random-[12]: +-?\d+\.\d m, reward +-?\d+\.\d, (not )?lost\n){3}$",
     "mine": r"^$",  # a class alone, to be named on a command line
     "own_controller": r"^lateral error: RMSE \d+ mm, largest \d+ mm\n$",
     "own_track": r"completed: True, largest lateral error 0\.\d mm",

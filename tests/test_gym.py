@@ -1,4 +1,5 @@
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from opengl import needs_opengl
 
@@ -12,6 +13,9 @@ from lpvmpc.gym.expert import demonstrate  # noqa: E402
 from lpvmpc.gym.track import TrackEnv  # noqa: E402
 from lpvmpc.gym.track_vec import TrackVecEnv  # noqa: E402
 from lpvmpc.interface import Command  # noqa: E402
+from lpvmpc.plant.plant import Plant  # noqa: E402
+from lpvmpc.plant.rollout import Snapshot  # noqa: E402
+from lpvmpc.sim.ground import Ground  # noqa: E402
 
 ROADS = ("random-1", "random-2")
 
@@ -119,8 +123,33 @@ def test_commands_and_actions_are_each_others_inverse():
     assert observation.command_of(np.array([9.0, -9.0]), 0.5) == Command(0.5, -8.0)
 
 
-def test_the_expert_stays_on_the_road_and_its_data_fit():
-    data = demonstrate(90, roads=ROADS, worlds=("rtk",), seed=2)
+def test_a_car_of_the_fleet_is_the_plant_with_its_latency_deviations_and_road():
+    env = TrackEnv(worlds=("fleet-production",), roads=("random-1",), observe="truth")
+    env.reset(seed=4)
+    cars, plant = env.cars, Plant()
+    one = cars.ones[0]
+    plant.deviations = one.draw.deviations
+    plant.latency = round(one.draw.latency / plant.latency_step) * plant.latency_step
+    assert plant.latency > 0.0 and not one.draw.surface.level
+    plant.restore(Snapshot(cars.batch.state[0].copy(), float(cars.states[0, 2])))
+    plant._actuation.start(*cars.ctrl[0, :2].tolist())
+    ground = Ground(plant, one.scenario, one.draw.surface)
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        action = np.clip(rng.normal(0.0, (0.1, 0.4)), -1.0, 1.0).astype(np.float32)
+        ground.lay(cars.where[0, 0], cars.where[0, 4])
+        state = plant.step(observation.command_of(action.astype(float), cars.delta_max))
+        env.step(action)
+        assert np.array_equal(state[:9], cars.states[0, :9])  # the same physics, bit for bit
+
+
+def test_the_expert_stays_on_the_road_and_its_data_fit(tmp_path):
+    out = tmp_path / "expert.parquet"
+    data = demonstrate(90, roads=ROADS, worlds=("rtk",), seed=2, out=out)
+    table = pq.read_table(out)
+    assert table.num_rows == 90 and np.array_equal(table["ey"], data["observations"][:, 0])
+    assert np.array_equal(table["action_acceleration"], data["actions"][:, 1])
+    assert table.schema.metadata[b"controller"] == b'"lpv-mpc"'
     assert not data["terminated"].any() and np.abs(data["observations"][:, 0]).max() < 1.0
     assert np.abs(data["actions"]).max() <= 1.0 and data["actions"].std(axis=0).min() > 0.0
     again = demonstrate(90, roads=ROADS, worlds=("rtk",), seed=2)

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from lpvmpc.control.rivals.observation import SIZE, action_of
+from lpvmpc.control.rivals.observation import SIZE, TABLE, action_of
 from lpvmpc.errors import OptionError
 from lpvmpc.gym.cars import Cars, Setting
 from lpvmpc.interface import declared
+from lpvmpc.kit.files import write_table
 from lpvmpc.sim.names import load_controller
 
 
 def demonstrate(
-    steps: int, *, controller: str = "lpv-mpc", seed: int = 0, noise: float = 0.0, **setting: Any
+    steps: int, *, controller: str = "lpv-mpc", seed: int = 0, noise: float = 0.0,
+    out: str | os.PathLike[str] | None = None, **setting: Any
 ) -> dict[str, npt.NDArray[Any]]:
     """Have a controller drive episodes of `Track-v0`, and keep what it saw and did.
 
@@ -27,6 +30,9 @@ def demonstrate(
         seed: Seed of everything.
         noise: Standard deviation of what is added to its action before the car gets it; the
             action that is recorded is without. So data hold how to come back.
+        out: File to write as Parquet besides: a column for each entry of the observation, under its
+            name, then action_steering, action_acceleration and the rest as returned; controller,
+            seed and noise in the metadata.
         setting: Fields of `cars.Setting`.
 
     Returns:
@@ -35,6 +41,7 @@ def demonstrate(
 
     Raises:
         OptionError: Steps or noise outside their domain.
+        OutputError: The file cannot be written.
     """
     if type(steps) is not int or steps < 1:
         raise OptionError("steps", steps, "a whole number from 1")
@@ -65,4 +72,12 @@ def demonstrate(
         found["rewards"][k], found["episode"][k] = cars.reward[0], episode
         found["terminated"][k], found["truncated"][k] = cars.lost[0], cars.over[0]
         ended = bool(cars.lost[0] or cars.over[0])
+    if out is not None:
+        columns: dict[str, npt.NDArray[Any]] = {
+            entry.name: found["observations"][:, i] for i, entry in enumerate(TABLE)
+        }
+        for i, name in enumerate(("action_steering", "action_acceleration")):
+            columns[name] = found["actions"][:, i]
+        columns.update({name: found[name] for name in found if found[name].ndim == 1})
+        write_table(out, columns, {"controller": controller, "seed": seed, "noise": noise})
     return found
