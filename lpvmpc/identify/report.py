@@ -139,7 +139,7 @@ def printed(replay: Replay) -> str:
         "",
     ]
     if replay.pushed:
-        lines.insert(1, "A side force and a yaw moment of unrecorded wind act besides (--push).")
+        lines.insert(1, "A side force and a yaw moment of unrecorded wind act besides.")
     text = "\n".join([*lines, *tables(replay)])
     for kind in KINDS:
         text += (
