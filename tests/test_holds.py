@@ -80,8 +80,8 @@ def test_a_car_that_walks_is_led_back_too(tmp_path):
     assert log.columns["ey_m"].min() > 0.0 and abs(log.columns["ey_m"][-1]) < 2e-6
 
 
-@pytest.mark.parametrize(("controller", "speed"), zip(RETURN[1:], (0.005, 0.147, 0.189, 0.047),
-                                                      strict=True))
+@pytest.mark.parametrize(("controller", "speed"), [
+    *zip(RETURN[1:], (0.005, 0.147, 0.189, 0.047), strict=True)])
 def test_a_known_delay_costs_the_baselines_little(controller, speed):
     """Six periods, 0.2 s: without compensation each of them leaves this road."""
     scenario = load_scenario("slalom")

@@ -90,7 +90,9 @@ WAITS = """
 
 def told(signals, body="wait(30)", before=""):
     """Exit code and what was said when a process that waits gets signals."""
-    script = textwrap.dedent(WAITS).format(body=body.replace("\n", "\n    "), before=before)
+    # as from a terminal, also where the tests themselves were started to ignore it
+    script = "import signal\nsignal.signal(signal.SIGHUP, signal.SIG_DFL)\n"
+    script += textwrap.dedent(WAITS).format(body=body.replace("\n", "\n    "), before=before)
     with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE,
                           stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout.readline() == "ready\n"

@@ -310,7 +310,7 @@ def test_a_controller_of_another_period_is_refused(point_plant, straight):
 
 
 def test_an_unknown_controller_lists_the_known():
-    with pytest.raises(UnknownNameError, match="lpv-mpc, lpv-mpc-paper"):
+    with pytest.raises(UnknownNameError, match="lpv-mpc, lpv-mpc-alcala, lpv-mpc-paper"):
         load_controller("mpc")
 
 

@@ -74,16 +74,20 @@ def test_the_weight_has_the_same_bytes_for_any_number_of_threads(params):
     assert len(found) == 1
 
 
+@pytest.mark.parametrize("quiet", [0.0, 1.0])
 @pytest.mark.parametrize(("steering", "drive"), [(1.0, 1.0), (2.0, 1.0), (1.0, 4.0), (3.0, 2.0)])
-def test_each_lag_has_its_own_terminal_weight(params, steering, drive):
+def test_each_lag_has_its_own_terminal_weight(params, steering, drive, quiet):
     """On a straight road steering and drive have no common state: their lags can be mixed."""
     controller = LPVMPC(params)
     h, car = controller.horizon, controller.bicycle
     lags = steering * car.tau_delta, drive * car.tau_ax
+    h.quiet[:] = quiet
     terminal_weight(h.handle, SPEEDS[7], lags)
+    q = h.q_noisy[0].copy()
+    q[[EY, EPSI]] *= controller.weights.calm if quiet else 1.0
     other = car._replace(tau_delta=lags[0], tau_ax=lags[1])
     tires = np.array([params.Cf, 0.0, params.Cr, 0.0])
-    exact = cost_to_go(other, tires, h.q[0], h.r_du, h.Ts)[7]
+    exact = cost_to_go(other, tires, q, h.r_du, h.Ts)[7]
     np.testing.assert_allclose(
         h.terminal, controller.weights.terminal * exact, rtol=1e-6, atol=1e-9 * abs(exact).max()
     )

@@ -70,7 +70,8 @@ def test_an_individual_that_fails_is_told(run, road, monkeypatch):
     ("arguments", "sentence"),
     [
         (["--controller", "mpc"], "Unknown controller 'mpc'; the choices are"),
-        (["--controller", "mine:Mine"], "Controller 'mine:Mine' cannot be imported: there is no"),
+        (["--controller", "nowhere:Mine"],
+         "Controller 'nowhere:Mine' cannot be imported: there is no"),
         (["--scenario", "papers"], "Unknown scenario 'papers'"),
         (["--worlds", "dry"], "Unknown world 'dry'"),
         (["--seeds", "0"], "--seeds is 0, but must be from 1"),
