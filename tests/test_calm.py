@@ -27,3 +27,12 @@ def test_the_weights_follow_the_noise_of_the_world(world, share):
 def test_a_command_that_comes_late_is_no_hard_one():
     h, _ = horizon(delay=3)
     assert h.quiet[1] == pytest.approx(h.quiet[0] / 4.0)
+
+
+@pytest.mark.parametrize("delay", [0, 2])
+def test_a_prediction_begins_at_the_car_however_far_the_controller_looks(delay):
+    controller = load_controller("lpv-mpc", delay=delay)
+    log = simulate(Plant(), controller, load_scenario("double-lane-change"), delay=delay)
+    c = log.columns
+    ahead = np.hypot(c["pred_x_m_0"] - c["x_m"], c["pred_y_m_0"] - c["y_m"])[5:]
+    np.testing.assert_allclose(ahead, delay * 0.033 * c["vx_mps"][5:], atol=0.3)

@@ -89,10 +89,10 @@ class Log:
 class Recorder:
     """Preallocated arrays that a running simulation fills, one row per control instant."""
 
-    def __init__(self, rows: int, Np: int, nq: int):
+    def __init__(self, rows: int, Np: int, nq: int, delay: int = 0):
         self.n = 0
         """Number of complete rows."""
-        self.Np = Np
+        self.Np, self.delay = Np, delay
         self.motion = np.full((rows, len(MOTION)), np.nan)
         self.wheels = np.full((rows, len(PER_WHEEL), 4), np.nan)
         self.qpos = np.full((rows, nq), np.nan)
@@ -107,11 +107,12 @@ class Recorder:
     def prediction(self, preview: Preview, prediction: Array) -> None:
         """Keep the predicted states (vx, vy, r, ey, epsi), shape (Np + 1, 5), of this row.
 
-        A longer preview begins earlier than the prediction, by the delay that the controller
-        compensates: the last Np + 1 points belong to it.
+        The prediction begins after the delay of the run, as far as the preview reaches.
         """
         row, n = self.preview[self.n], self.Np + 1
-        row[0], row[1], row[2] = preview.x[-n:], preview.y[-n:], preview.psi[-n:]
+        first = min(self.delay, len(preview.x) - n)
+        for i, points in enumerate((preview.x, preview.y, preview.psi)):
+            row[i] = points[first : first + n]
         self.ey[self.n] = prediction[:, 3]
 
     def log(self, meta: dict[str, Any], scenario: Scenario, weights: dict[str, Any]) -> Log:

@@ -215,7 +215,7 @@ class _Loop:
         self.reference_duration = laps * scenario.reference_duration
         self.time_limit = TIME_FACTOR * self.reference_duration
         self.rows = math.ceil(self.time_limit / plant.Ts) + 2
-        self.recorder = Recorder(self.rows, driver.about.Np, len(plant.qpos))
+        self.recorder = Recorder(self.rows, driver.about.Np, len(plant.qpos), delay)
         self.ground = Ground(plant, scenario, surface)
         self.perception: Perception | None = None
         self.has_qp = False
