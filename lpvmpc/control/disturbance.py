@@ -56,8 +56,8 @@ def update(disturbance, predicted, measured, gain, limit, walk, noise, last, Ts)
 def quiet(predicted, measured, noise, last, Ts):
     """How free of noise the measurements are, from 0 to 1.
 
-    Beside the noise that `update` sees, that of ey and epsi counts. With a perfect sensor the share
-    is above 0.99 on any road and car; with a good GNSS/INS it is below 0.01.
+    Beside the noise that `update` sees, that of ey and epsi counts. docs/derivations.md, D13, has
+    what the share is in which world.
 
     Args:
         predicted: What the model expected for now, shape (11,).

@@ -9,20 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from lpvmpc.car.current import per_car
 from lpvmpc.errors import LPVMPCError, described
 from lpvmpc.kit.workers import check, workers
-from lpvmpc.plant import deviations
 from lpvmpc.sim import batch
 from lpvmpc.sim.batch import Run
-from lpvmpc.sim.loop import simulate
 from lpvmpc.sim.metrics import details, metrics
 from lpvmpc.sim.process.isolated import Isolated
-
-if TYPE_CHECKING:
-    from lpvmpc.plant.plant import Plant
 
 STEP_TIMEOUT = 1.0
 """Longest wall-clock time of one call of a controller [s]."""
@@ -76,23 +70,9 @@ def outcome(item: tuple[str, Run]) -> tuple[str, dict[str, Any]]:
     """
     key, run = item
     try:
-        log = simulate(
-            _plant(),
-            Isolated(run.controller, start_timeout=START, first_timeout=START, memory=MEMORY,
-                     output=False, **run.controller_options),
-            batch.scenario_of(run),
-            seed=run.seed,
-            laps=run.laps,
-            start_offset=run.start_offset,
-            delay=run.delay,
-            world=run.world,
-            estimator=run.estimator,
-            latency=run.latency,
-            deviations=deviations.named(run.deviations) if run.deviations else None,
-            step_timeout=STEP_TIMEOUT,
-            name=run.controller,
-            options={"road": run.road},
-        )
+        isolated = Isolated(run.controller, start_timeout=START, first_timeout=START,
+                            memory=MEMORY, output=False, **run.controller_options)
+        log = batch.drive(run, isolated, STEP_TIMEOUT)
     except LPVMPCError as error:
         return key, batch.charged(run, " ".join(str(error).split()))
     except Exception as error:  # one broken run must not take the others' results away
@@ -100,11 +80,3 @@ def outcome(item: tuple[str, Run]) -> tuple[str, dict[str, Any]]:
     if log.meta["reason"] == "interrupted":
         raise KeyboardInterrupt
     return key, {**metrics(log), **details(log)}
-
-
-@per_car
-def _plant() -> Plant:
-    """The car of this process; `simulate` resets it."""
-    from lpvmpc.plant.plant import Plant
-
-    return Plant()

@@ -33,8 +33,10 @@ from lpvmpc.sim.own import file_of
 from lpvmpc.sim.world import load_world
 
 if TYPE_CHECKING:
+    from lpvmpc.interface import Controller
     from lpvmpc.plant.plant import Plant
     from lpvmpc.sim.log import Log
+    from lpvmpc.sim.process.isolated import Isolated
 
 FOUNDATION = (
     "units.py", "errors.py", "interface.py", "car/**/*", "plant/**/*", "road/**/*", "control/**/*",
@@ -190,14 +192,22 @@ def made_for(folder: Path | None) -> list[Path]:
     return sorted([*folder.glob("*.safetensors"), *folder.glob("weights/*.toml")])
 
 
-def drive(run: Run) -> Log:
+def drive(
+    run: Run, controller: Controller | Isolated | None = None, step_timeout: float | None = None
+) -> Log:
     """Drive one run in this process.
+
+    Args:
+        run: What to drive.
+        controller: Who drives, made already; None: as the run says.
+        step_timeout: Longest time of a control step [s]; None: without limit.
 
     Raises:
         LPVMPCError: Something in the run does not exist or is out of its domain, or its controller
             failed.
     """
-    controller = load_controller(run.controller, **run.controller_options)
+    if controller is None:
+        controller = load_controller(run.controller, **run.controller_options)
     return simulate(
         _plant(),
         controller,
@@ -210,6 +220,7 @@ def drive(run: Run) -> Log:
         estimator=run.estimator,
         latency=run.latency,
         deviations=deviations.named(run.deviations) if run.deviations else None,
+        step_timeout=step_timeout,
         name=run.controller,
         options={"road": run.road},
     )
