@@ -5,6 +5,7 @@ import pytest
 
 from lpvmpc import Plant, load_controller, load_scenario, simulate
 from lpvmpc.car.bicycle import EPSI, EY
+from lpvmpc.sim.metrics import metrics
 
 
 def horizon(world="ideal", delay=0):
@@ -26,7 +27,8 @@ def test_the_weights_follow_the_noise_of_the_world(world, share):
 
 def test_a_command_that_comes_late_is_no_hard_one():
     h, _ = horizon(delay=3)
-    assert h.quiet[1] == pytest.approx(h.quiet[0] / 4.0)
+    # at the end of the lane change the car runs nearly straight
+    assert h.quiet[1] == pytest.approx(h.quiet[0] / 4.0, rel=0.01)
 
 
 @pytest.mark.parametrize("delay", [0, 2])
@@ -36,3 +38,13 @@ def test_a_prediction_begins_at_the_car_however_far_the_controller_looks(delay):
     c = log.columns
     ahead = np.hypot(c["pred_x_m_0"] - c["x_m"], c["pred_y_m_0"] - c["y_m"])[5:]
     np.testing.assert_allclose(ahead, delay * 0.033 * c["vx_mps"][5:], atol=0.3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("grip", [0.92, 0.96])
+def test_a_told_delay_of_six_periods_holds_where_the_tires_bend(grip):
+    scenario = load_scenario("circuit", grip=grip)
+    log = simulate(Plant(), load_controller("lpv-mpc", delay=6), scenario, delay=6)
+    result = metrics(log)
+    assert result["completed"]
+    assert result["lateral_rmse_m"] < 0.015 and result["lateral_max_m"] < 0.07

@@ -41,6 +41,8 @@ NEAR = 0.15
 """A car that is no further beside its path than this is pulled onto it [m]."""
 BACK = 1.5
 """Time constant with which one that is further is led back [s]."""
+BENT = 0.06
+"""Slip angle from where on a late command is as soft as at the limit [rad]."""
 
 
 @njit(cache=True)
@@ -295,12 +297,15 @@ def compare(h, x, kappa, ax):
         h.inner[i - A] = x[i] = predicted[i]
     gain = h.gain
     if h.calm != 1.0:
-        gain = gain + h.quiet[0] * np.maximum(h.calm_gain - gain, 0.0)
+        # a command that comes late must not be a hard one, least of all where the tires bend
+        late = 1.0 + h.delay + h.lateness[0]
+        bent = min((max(abs(h.slips[0]), abs(h.slips[1])) / BENT) ** 2, 1.0)
+        softer = (1.0 + (late - 1.0) * bent) ** 2
+        gain = gain + h.quiet[0] / softer * np.maximum(h.calm_gain - gain, 0.0)
     update(disturbance, predicted, x, gain, LIMIT, h.walk, h.noise, h.error, h.Ts)
     if h.calm != 1.0:
         h.quiet[0] = quiet(predicted, x, h.noise, h.error, h.Ts)
-        # a command that comes late must not be a hard one
-        h.quiet[1] = h.quiet[0] / (1.0 + h.delay + h.lateness[0])
+        h.quiet[1] = h.quiet[0] / late ** (1.0 + bent)
 
 
 @njit(cache=True)
