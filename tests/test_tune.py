@@ -90,6 +90,47 @@ def test_bad_options_are_one_sentence(run, arguments, sentence):
     assert sentence in err and err.count("\n") == 1
 
 
+def test_searches_of_several_seeds_are_laid_side_by_side(run, road, tmp_path):
+    for seed in (0, 1):
+        assert run(*SMALL, "--scenario", road, "--seed", seed, "--out", f"s{seed}")[0] == 0
+    code, out, err = run("--spread", "s0", "s1", "--jobs", 1, "--json", "copy.json")
+    assert (code, err) == (0, "")
+    found = json.loads((tmp_path / "copy.json").read_text())
+    kept = [json.loads((tmp_path / f"s{seed}" / "tuning.json").read_text()) for seed in (0, 1)]
+    assert found["seeds"] == [0, 1]
+    assert found["costs"] == [one["cost"] for one in kept]
+    assert found["weights"] == [one["weights"] for one in kept]
+    shipped = weights_file.read_weights(weights_file.shipped_file("pure-pursuit"))
+    assert shipped.items() <= found["shipped"].items() and found["shipped_cost"] > 0.0
+    text = (tmp_path / "runs" / "tune-spread" / "spread.md").read_text()
+    assert out.startswith(text) and f"{max(found['costs']):.3f}" in text
+
+
+@pytest.mark.parametrize(
+    ("folders", "sentence"),
+    [
+        (["s0"], "--spread is 1, but must be at least two folders of searches"),
+        (["s0", "s0"], "seeds is '0, 0', but must be a different one for each search"),
+        (["s0", "other"], "population of other is 5, but must be that of s0, 4"),
+        (["s0", "nowhere"], "nowhere/tuning.json cannot be read (No such file or directory)"),
+        (["s0", "damaged"], "damaged/tuning.json is no JSON"),
+        (["s0", "empty"], "empty/tuning.json holds no tuning: task, weights"),
+    ],
+)
+def test_what_is_no_spread_is_one_sentence(run, tmp_path, folders, sentence):
+    task = {"population": 4, "seed": 0}
+    texts = {"s0": task, "other": {**task, "population": 5, "seed": 1}}
+    for name, value in texts.items():
+        (tmp_path / name).mkdir()
+        whole = {"weights": {}, "cost": 1.0, "evaluations": 9, "on_bounds": [], "record": {}}
+        (tmp_path / name / "tuning.json").write_text(json.dumps({**whole, "task": value}))
+    for name, text in (("damaged", "{"), ("empty", "{}")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "tuning.json").write_text(text)
+    code, _, err = run("--spread", *folders)
+    assert code == 2 and sentence in err and err.count("\n") == 1
+
+
 # A user's class -----------------------------------------------------------------------------------
 
 MINE = """

@@ -2,6 +2,7 @@
 
     lpvmpc tune --controller lpv-mpc
     lpvmpc tune --controller mine:Mine
+    lpvmpc tune --spread runs/seed-0 runs/seed-1 runs/seed-2
     lpvmpc tune --sphere
 
 Prints a table, draws the convergence and writes both beside a Markdown report; weights.toml is what
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
 
 SPHERE = ("sphere", "generations", "population", "seed", "out", "json")
 """Options that mean something with --sphere."""
+SPREAD = ("spread", "jobs", "out", "json", "car")
+"""Options that mean something with --spread."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,6 +62,9 @@ class Options:
     """Address of the Ray cluster (default: one is started here)."""
     resume: bool = False
     """Go on with an interrupted tuning, to the same result."""
+    spread: tuple[Path, ...] = ()
+    """Folders of finished tunings that differ in --seed alone: write how far they agree, beside the
+    shipped weights, into --out (default: runs/tune-spread)."""
     sphere: bool = False
     """Minimise the sphere function from 30 seeds instead, as in the paper's Fig. 6."""
     seed: int = 0
@@ -79,6 +85,8 @@ def main(options: Options) -> int:
     cli.check_number("--seeds", options.seeds, 1, 1000)
     cli.check_number("--jobs", options.jobs, 1, 10_000)
     cli.check_opengl()
+    if options.spread:
+        return show_spread(options)
     return show_sphere(options) if options.sphere else tune(options)
 
 
@@ -231,12 +239,34 @@ def print_result(
     console.print(driven)
 
 
-def show_sphere(options: Options) -> int:
-    """Run, print and save the study of the sphere function."""
+def only(options: Options, names: tuple[str, ...]) -> None:
+    """Refuse options that mean nothing with the first of some."""
     for field in fields(options):
         value = getattr(options, field.name)
-        if field.name not in SPHERE and value != field.default:
-            raise OptionError(f"--{field.name}", value, "left out with --sphere")
+        if field.name not in names and value != field.default:
+            raise OptionError(f"--{field.name}", value, f"left out with --{names[0]}")
+
+
+def show_spread(options: Options) -> int:
+    """Lay finished searches side by side, print and save it."""
+    from lpvmpc.tune import spread
+
+    only(options, SPREAD)
+    out = cli.results_folder(options.out or Path("runs/tune-spread"))
+    if options.json is not None:
+        cli.writable_folder(options.json.parent)
+    found = spread.read(options.spread, options.jobs or cli.cores())
+    files = spread.save(found, out)
+    if options.json is not None:
+        write_json(options.json, spread.as_json(found))
+    print(spread.report(found), end="")
+    print(f"Saved {out}/ ({', '.join(file.name for file in files)})")
+    return cli.DONE
+
+
+def show_sphere(options: Options) -> int:
+    """Run, print and save the study of the sphere function."""
+    only(options, SPHERE)
     out = cli.results_folder(options.out or Path("docs/results"), "sphere")
     if options.json is not None:
         cli.writable_folder(options.json.parent)
