@@ -1,7 +1,7 @@
 # make track  drive the paper's road: table, metrics, figures and video
 # make test   run the tests
 # make lint   ruff, mypy, and which package may import which
-# make docs   the reference of the public API in site/, warnings are errors
+# make docs   the site of all pages and of the reference, in site/; warnings are errors
 # make clean  remove the environment and what the tools left behind
 #
 # Each target makes .venv and installs the versions of constraints.txt first. The stamps depend on
