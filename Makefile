@@ -1,6 +1,6 @@
 # make track  drive the paper's road: table, metrics, figures and video
 # make test   run the tests
-# make lint   ruff, mypy, and which package may import which
+# make lint   ruff, mypy, which package may import which, spelling
 # make docs   the site of all pages and of the reference, in site/; warnings are errors
 # make clean  remove the environment and what the tools left behind
 #
@@ -25,6 +25,7 @@ lint: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/codespell
 
 docs: $(VENV)/.docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict

@@ -13,7 +13,7 @@ import numpy as np
 from lpvmpc import Plant, load_controller, load_scenario, metrics, simulate
 
 if __name__ == "__main__":
-    plant, scenario = Plant(), load_scenario("slalom")
+    plant, scenario = Plant(), load_scenario("double-lane-change")
     shipped = load_controller("lpv-mpc").weights  # a frozen dataclass: the tuned weights
     print("q_ey      RMSE of the lateral error   RMS of the steering rate")
     for factor in (1.0, 0.1, 0.01):

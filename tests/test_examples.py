@@ -15,14 +15,22 @@ SAYS = {
     "gym_random": r"^(random-[12]: +-?\d+\.\d m, reward +-?\d+\.\d, (not )?lost\n){3}$",
     "mine": r"^$",  # a class alone, to be named on a command line
     "own_controller": r"^lateral error: RMSE \d+ mm, largest \d+ mm\n$",
+    "own_world": r"^seed .*error\n( +\d +0\.\d\d +\d+ kg +\d+ ms +\d+\.\d mm\n){3}$",
     "own_track": r"completed: True, largest lateral error 0\.\d mm",
     "read_trace": r"849 control periods, .* columns:\n",
+    "record_and_replay": r"^the car itself .* 0\.00\d\d rad/s .*\nsofter in front .* 0\.0[1-9]",
     "wind_batch": r"\nlpv-mpc +0\.0( +\d+\.\d){3}\nstanley +0\.0( +\d+\.\d){3}\n",
 }
 """What each must print."""
+SHORT = ("mine", "own_controller")
+"""Those whose scripts run here by default; the others' code does in their notebooks."""
 
 
-@pytest.mark.parametrize("name", sorted(file.stem for file in FOLDER.glob("*.py")))
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(file.stem, marks=() if file.stem in SHORT else pytest.mark.slow)
+     for file in sorted(FOLDER.glob("*.py"))],
+)
 def test_an_example_runs(name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     runpy.run_path(str(FOLDER / f"{name}.py"), run_name="__main__")
