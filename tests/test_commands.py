@@ -7,7 +7,7 @@ from importlib import import_module
 import pytest
 
 from lpvmpc import commands
-from lpvmpc.control.registry import CONTROLLERS, STIFFNESS_MODELS
+from lpvmpc.control.registry import CONTROLLERS, STIFFNESS_MODELS, TUNABLE
 from lpvmpc.road.names import SCENARIOS
 from lpvmpc.studies.names import BROKEN, STUDIES
 
@@ -66,7 +66,7 @@ def test_a_script_is_its_command_and_nothing_else(root, name):
     [
         ("track", [*CONTROLLERS, *STIFFNESS_MODELS, *SCENARIOS]),
         ("compare", [*CONTROLLERS, *SCENARIOS]),
-        ("tune", CONTROLLERS),
+        ("tune", TUNABLE),
         ("fidelity", [*STUDIES, *BROKEN]),
     ],
 )

@@ -1,13 +1,17 @@
+import json
 from importlib.util import find_spec
 
 import numpy as np
 import pytest
 
+from lpvmpc import Plant, load_controller, load_scenario, metrics, simulate
 from lpvmpc.control.rivals import observation, ppo
-from lpvmpc.errors import DataError, LPVMPCError
+from lpvmpc.errors import ControllerError, DataError, LPVMPCError
+from lpvmpc.gym import card
 from lpvmpc.gym.learn import Recipe, learn, save
 from lpvmpc.kit import safetensors
 from lpvmpc.plant.mjcf import packaged_car
+from lpvmpc.tune.stated import stated
 
 LACKS_RL = find_spec("stable_baselines3") is None
 
@@ -39,6 +43,47 @@ def test_a_policy_of_other_observations_is_refused(tmp_path):
     policy(file, w0=np.zeros((4, 7), dtype=np.float32))
     with pytest.raises(DataError, match="other observations"):
         ppo.PPO(packaged_car(), file=file)
+
+
+def test_the_shipped_policy_drives():
+    log = simulate(Plant(), load_controller("ppo"), load_scenario("double-lane-change"))
+    assert metrics(log)["completed"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("world", ["ideal", "rtk"])
+def test_the_shipped_policy_completes_the_circuit_at_half_its_grip(world):
+    scenario = load_scenario("circuit", grip=0.5)
+    log = simulate(Plant(), load_controller("ppo"), scenario, world=world, seed=100_000)
+    assert metrics(log)["completed"]
+
+
+def test_it_cannot_be_tuned():
+    with pytest.raises(ControllerError, match="'ppo' cannot be tuned: it was trained"):
+        stated("ppo")
+
+
+def test_the_card_says_first_where_the_car_is_lost(tmp_path):
+    def result(completed, rmse):
+        return {"completed": completed, "lateral_rmse_m": rmse, "lateral_max_m": 2.0 * rmse,
+                "steer_rate_rms_radps": 0.1}
+
+    cases = [
+        card.Case(road="paper", world="ideal", results=(result(True, 0.02),)),
+        card.Case(road="circuit 92 %", world="fleet",
+                  results=(result(True, 0.1), result(False, 3.0), result(True, 0.3))),
+    ]
+    assert card.sentences(cases) == [
+        "It loses the car: 1 of 3 on circuit 92 % in `fleet`.",
+        "It completes every run of: paper in `ideal`.",
+    ]
+    assert cases[1].row() == ("circuit 92 %", "fleet", 3, 2, 0.1, 0.6, 0.1)
+    file = tmp_path / "p.safetensors"
+    policy(file, curve=np.array([[2048.0, 0.1], [4096.0, 0.9]]))
+    card.save(file, cases, tmp_path)
+    text = (tmp_path / "ppo.md").read_text()
+    assert "2 of 3" in text and "4,096 control periods" in text
+    assert json.loads((tmp_path / "ppo.json").read_text())["cases"][1]["completed"] == 2
 
 
 @pytest.mark.skipif(LACKS_RL, reason="the extra rl is not installed")

@@ -8,7 +8,7 @@ import pytest
 
 from lpvmpc.control import weights_file
 from lpvmpc.control.cost import Weights
-from lpvmpc.control.registry import CONTROLLERS
+from lpvmpc.control.registry import TUNABLE
 from lpvmpc.errors import DataError, LPVMPCError, OptionError, UnknownNameError
 from lpvmpc.kit.workers import workers
 from lpvmpc.sim import batch
@@ -58,7 +58,7 @@ def test_where_friction_is_taken_away_the_plan_leaves_some():
 # What is searched -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", CONTROLLERS)
+@pytest.mark.parametrize("name", TUNABLE)
 def test_no_controller_gets_more_than_the_budget(name):
     task = Task(controller=name)
     searches = stages(task)

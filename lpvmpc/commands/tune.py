@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from lpvmpc.commands.parts.the_car import CarPlace, folder_of, with_car
-from lpvmpc.control.registry import CONTROLLERS
+from lpvmpc.control.registry import TUNABLE
 from lpvmpc.errors import OptionError
 from lpvmpc.kit import cli
 from lpvmpc.kit.files import write_json, write_text
@@ -41,7 +41,7 @@ class Options:
     """Tune a controller's weights, with the same budget for every controller."""
 
     controller: Annotated[
-        str, cli.Option(help=f"{', '.join(CONTROLLERS)}, or module:Class of your own.")
+        str, cli.Option(help=f"{', '.join(TUNABLE)}, or module:Class of your own.")
     ] = "lpv-mpc"
     scenario: tuple[str, ...] = ()
     """What to tune on (default: two tracks that no result is reported on)."""

@@ -34,6 +34,11 @@ CORE = tuple(name for name in CONTROLLERS if name not in RIVALS)
 """The paper's controllers, ours and the simple ones: what the commands that tell of the paper, of
 adaptation and of worlds compare unless told otherwise."""
 
+TUNABLE = tuple(
+    name for name in CONTROLLERS if not (name in RIVALS and RIVALS[name].learned)
+)
+"""Those with weights that `tune` can search; the others were trained."""
+
 STIFFNESS_MODELS = {
     "constant": ("stiffness.models", "ConstantStiffness"),
     "network": ("stiffness.models", "NetworkStiffness"),

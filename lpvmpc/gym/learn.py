@@ -5,6 +5,7 @@ action; nothing of the package's controllers is in it. The same seed on the same
 same bytes: torch has one thread, and the physics is the same for any number of threads.
 
     python eval/learn.py --seed 1 --out runs/ppo.safetensors
+    python eval/learn.py --card
 
 Exit codes: 0 learned; 2 bad input; 130 interrupted, nothing saved.
 """
@@ -37,7 +38,7 @@ Progress = Callable[[int, float, float], None]
 class Recipe:
     """Everything that decides what is learned."""
 
-    steps: int = 153_600
+    steps: int = 600_000
     """Control periods driven by all cars together."""
     seed: int = 0
     """Seed of network, noise, roads and worlds."""
@@ -146,6 +147,11 @@ class Options:
     """Threads of the physics; they do not change the result."""
     out: Path = Path("runs/ppo.safetensors")
     """File for the policy; its controller takes it as `file`."""
+    card: bool = False
+    """Drive the shipped policy, or that of --out, on roads of no training, and write its card into
+    docs/results instead of learning."""
+    jobs: int = 0
+    """Processes that drive for the card (0: one per core)."""
 
 
 def main(options: Options) -> int:
@@ -153,6 +159,9 @@ def main(options: Options) -> int:
     cli.check_number("--steps", options.steps, 1, 1_000_000_000)
     cli.check_number("--seed", options.seed, 0, 2**31 - 1)
     cli.check_number("--threads", options.threads, 0, 1024)
+    cli.check_number("--jobs", options.jobs, 0, 10_000)
+    if options.card:
+        return show_card(options)
     cli.writable_folder(options.out.parent)
 
     def say(periods: int, reward: float, minutes: float) -> None:
@@ -168,4 +177,19 @@ def main(options: Options) -> int:
     print(f"{int(curve[-1, 0])} periods in {minutes:.1f} min; mean reward of a period from "
           f"{curve[0, 1]:.3f} to {curve[-1, 1]:.3f}.")
     print(f"Saved {options.out}")
+    return cli.DONE
+
+
+def show_card(options: Options) -> int:
+    """Drive a policy and write its card; returns the exit code."""
+    from lpvmpc.control.rivals.ppo import SHIPPED
+    from lpvmpc.gym import card
+
+    file = SHIPPED if options.out == Options.out else options.out
+    folder = cli.results_folder(Path("docs/results"), "ppo")
+    safetensors.read(file)  # what is missing is told before anything is driven
+    cases = card.drive(file, options.jobs or cli.cores())
+    files = card.save(file, cases, folder)
+    print("\n".join(card.sentences(cases)))
+    print(f"Saved {folder}/ ({', '.join(one.name for one in files)})")
     return cli.DONE

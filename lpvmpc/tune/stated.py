@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, is_dataclass
 from typing import Any
 
-from lpvmpc.control.registry import CONTROLLERS
+from lpvmpc.control.registry import CONTROLLERS, TUNABLE
 from lpvmpc.errors import ControllerError, UnknownNameError
 from lpvmpc.sim.names import load_controller
 from lpvmpc.sim.own import file_of, own_module
@@ -51,7 +51,9 @@ def stated(controller: str) -> Stated:
     """
     if not is_own(controller):
         if controller not in CONTROLLERS:
-            raise UnknownNameError("controller", controller, [*CONTROLLERS, "module:Class"])
+            raise UnknownNameError("controller", controller, [*TUNABLE, "module:Class"])
+        if controller not in TUNABLE:
+            raise _refused(controller, "it was trained (eval/learn.py) and has no weights")
         weights = load_controller(controller, weights={}).weights  # type: ignore[attr-defined]
         return Stated(weights=asdict(weights), ranges=dict(weights.RANGES))
     if not _takes_weights(controller):

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from lpvmpc.control.registry import CONTROLLERS
+from lpvmpc.control.registry import CONTROLLERS, TUNABLE
 from lpvmpc.control.rivals import RIVALS
 from lpvmpc.errors import LPVMPCError, OptionError, UnknownNameError
 from lpvmpc.kit.files import checksum
@@ -80,7 +80,7 @@ class Task:
     def __post_init__(self) -> None:
         """Refuse what cannot be tuned."""
         if not is_own(self.controller) and self.controller not in CONTROLLERS:
-            raise UnknownNameError("controller", self.controller, [*CONTROLLERS, "module:Class"])
+            raise UnknownNameError("controller", self.controller, [*TUNABLE, "module:Class"])
         if not self.scenarios:
             raise OptionError("scenarios", self.scenarios, "at least one name")
         if not self.worlds:

@@ -24,7 +24,8 @@ class Rival:
     """Packages that it imports beside those that lpvmpc needs."""
     extra: str = ""
     """Extra of lpvmpc that installs them."""
-
+    learned: bool = False
+    """Whether it was trained (`eval/learn.py`): it has a policy and no weights to tune."""
     slow: bool = False
     """Whether a lap takes it so long that the leaderboard has it drive a part of its runs alone."""
 
@@ -41,6 +42,7 @@ RIVALS: dict[str, Rival] = {
     ),
     "lpv-mpc-alcala": Rival(module="alcala", maker="Alcala"),
     "mppi": Rival(module="mppi", maker="MPPI", slow=True),
+    "ppo": Rival(module="ppo", maker="PPO", learned=True),
     "lpv-mpc-protected": Rival(module="forms", maker="lpv_mpc_protected"),
     "lmpc-pso-pid-plain": Rival(module="forms", maker="lmpc_plain"),
 }

@@ -15,6 +15,7 @@ Source: Schulman et al., Proximal policy optimization algorithms, arXiv:1707.063
 from __future__ import annotations
 
 import os
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -35,8 +36,8 @@ from lpvmpc.interface import Command, Preview, State
 from lpvmpc.kit import safetensors
 from lpvmpc.units import Array
 
-FILE = "runs/ppo.safetensors"
-"""Where `eval/learn.py` writes a policy; none is shipped."""
+SHIPPED = Path(str(resources.files("lpvmpc.control.rivals"))) / "weights" / "ppo.safetensors"
+"""The policy that ships: what `eval/learn.py` makes of its defaults."""
 LAYERS = ("0", "1", "2")
 """Names of the layers: `w0`, `b0` and so on."""
 
@@ -48,12 +49,12 @@ class PPO:
     preview_steps = STEPS
     Ts = 0.033
 
-    def __init__(self, car: VehicleParams, *, file: str | os.PathLike[str] = FILE) -> None:
+    def __init__(self, car: VehicleParams, *, file: str | os.PathLike[str] = SHIPPED) -> None:
         """Read a policy.
 
         Args:
             car: Vehicle parameters; of these it uses the largest steering angle alone.
-            file: Policy as `eval/learn.py` writes it.
+            file: Policy as `eval/learn.py` writes it (default: the one that ships).
 
         Raises:
             DataError: The file is missing, damaged, or holds no policy for these observations.
