@@ -85,6 +85,9 @@ def on_files(files: Files, config: Any) -> Files:
             target = _target(_source(file), match[2])
             if target is not None and files.get_file_from_path(place := _place(target)) is None:
                 files.append(_page(target, place, config))
+    for file in sorted(ROOT.glob("examples/notebooks/*")):
+        source = file.relative_to(ROOT).as_posix()
+        files.append(_page(source, _place(source), config))
     return files
 
 
@@ -159,6 +162,8 @@ def _shown(path: Path, source: str) -> str:
     if source.startswith("examples/"):
         title = path.stem.replace("_", " ").capitalize()
         about = (ast.get_docstring(ast.parse(text)) or "") + "\n\n"
+        if (ROOT / "examples" / "notebooks" / f"{path.stem}.ipynb").exists():
+            about += f"[The same as a notebook](../source/examples/notebooks/{path.stem}.ipynb).\n\n"
         text = text.split('"""', 2)[2].lstrip()
     code = f"```{NAMES.get(path.suffix, 'text')}\n{text.rstrip()}\n```\n"
     return f"{hidden}# {title}\n\n{about}{code}"
@@ -183,5 +188,5 @@ def _listed(folder: Path) -> str:
     files = ["## Files", ""] if pages else []
     for sub, links in others.items():
         files += [f"{sub or 'Here'}: {', '.join(links)}", ""]
-    title = folder.relative_to(ROOT / "docs").as_posix().capitalize()
+    title = folder.relative_to(ROOT).as_posix().removeprefix("docs/").capitalize()
     return "\n".join([f"# {title}", "", *pages, "", *files]) + "\n"
