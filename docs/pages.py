@@ -162,8 +162,9 @@ def _shown(path: Path, source: str) -> str:
     if source.startswith("examples/"):
         title = path.stem.replace("_", " ").capitalize()
         about = (ast.get_docstring(ast.parse(text)) or "") + "\n\n"
-        if (ROOT / "examples" / "notebooks" / f"{path.stem}.ipynb").exists():
-            about += f"[The same as a notebook](../source/examples/notebooks/{path.stem}.ipynb).\n\n"
+        twin = f"examples/notebooks/{path.stem}.ipynb"
+        if (ROOT / twin).exists():
+            about += f"[The same as a notebook](../{_place(twin)}).\n\n"
         text = text.split('"""', 2)[2].lstrip()
     code = f"```{NAMES.get(path.suffix, 'text')}\n{text.rstrip()}\n```\n"
     return f"{hidden}# {title}\n\n{about}{code}"
