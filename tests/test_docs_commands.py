@@ -11,6 +11,7 @@ import runpy
 import shlex
 import shutil
 import sys
+import warnings
 from importlib import import_module
 from pathlib import Path
 
@@ -79,7 +80,8 @@ def typed(page, folder, monkeypatch):
 def run(line, monkeypatch):
     """Run a line in this process; its exit code."""
     program, *words = shlex.split(line)
-    with monkeypatch.context() as patched:
+    with monkeypatch.context() as patched, warnings.catch_warnings():
+        warnings.simplefilter("default", UserWarning)  # what the command says on stderr
         if program == "lpvmpc":
             patched.setattr(sys, "argv", [program])
             return commands.main(words)
@@ -115,8 +117,8 @@ def test_the_tutorial_does_what_it_says(tmp_path, monkeypatch):
     assert first["ideal"] < 0.0015 and first["fleet"] > 5 * first["ideal"]
     assert first["mine"] > 0.5
     (folder,) = Path("runs").glob("slalom-mine-Mine-vs-*")
-    now, stanley, ours = (json.loads((folder / "comparison.json").read_text())[name]
-                          for name in ("mine:Mine", "stanley", "lpv-mpc"))
+    runs = json.loads((folder / "comparison.json").read_text())["runs"]
+    now, stanley, ours = (runs[name] for name in ("mine:Mine", "stanley", "lpv-mpc"))
     assert now["lateral_max_m"] < first["mine"] / 3
     assert 3 * ours["lateral_max_m"] < stanley["lateral_max_m"] < now["lateral_max_m"]
 
