@@ -88,6 +88,7 @@ def run(line, monkeypatch):
         assert [program, words[0]] == ["python", "-m"], line
         patched.setattr(sys, "argv", words[1:])
         try:
+            sys.modules.pop(words[1], None)
             runpy.run_module(words[1], run_name="__main__")
         except SystemExit as end:
             return end.code
@@ -131,3 +132,17 @@ def test_the_how_tos_work(tmp_path, monkeypatch):
         assert code == 0, line
         lines.append(line)
     assert len(lines) == 9
+
+
+@pytest.mark.parametrize("page", ["README.md", *(
+    pytest.param(page, marks=pytest.mark.slow) for page in ("docs/gymnasium.md", "docs/worlds.md")
+)])
+def test_the_python_blocks_run(page, tmp_path, monkeypatch):
+    if "gym" in page:  # an installed lpvmpc needs no import
+        pytest.importorskip("lpvmpc.gym")
+    monkeypatch.chdir(tmp_path)
+    blocks = [text for language, _, text in BLOCK.findall((ROOT / page).read_text())
+              if language == "python"]
+    assert blocks
+    for text in blocks:
+        exec(compile(text.replace("10_000", "200"), page, "exec"), {"__name__": page})
