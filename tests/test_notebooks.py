@@ -55,7 +55,7 @@ def test_the_notebooks_run(tmp_path, monkeypatch):
     folder = tmp_path / "work"
     folder.mkdir()
     where = {"metadata": {"path": str(folder)}}
-    nbclient.NotebookClient(whole, timeout=300, kernel_name="python3", resources=where).execute()
+    nbclient.NotebookClient(whole, timeout=900, kernel_name="python3", resources=where).execute()
     first = 0
     for name, end in ends.items():
         out = [one for cell in whole.cells[first:end] for one in cell.get("outputs", [])]
