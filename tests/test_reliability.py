@@ -38,7 +38,8 @@ def test_a_random_run_is_the_same_for_its_number():
     for run in runs:
         grip = run.scenario_options["grip"] / loops.held(run.world, run.seed)
         assert 0.399 < grip < 0.801 and 0.0 <= run.latency <= 0.04
-        assert abs(run.start_offset[0]) <= 1.0
+        assert abs(run.start_offset[0]) <= 1.0 and run.scenario == f"random-{run.seed}"
+    assert loops.random_run(loops.WHOLE).scenario == f"hairpin-{loops.WHOLE}"
 
 
 def test_the_plan_knows_the_friction_that_the_world_draws():

@@ -266,6 +266,20 @@ def test_random_roads_have_hairpins_that_the_car_can_turn(params):
     assert 150.0 < min(lengths) and max(lengths) < 900.0
 
 
+def test_short_random_roads_are_a_hairpin_and_little_else(params):
+    roads = [random_road.hairpin_road(i).path for i in range(40)]
+    for road in roads:
+        turned = np.abs(road.psi[:, None] - road.psi[None, ::50]).max()
+        assert turned > np.radians(140.0) and road.has_widths
+        assert 1.0 / 15.0 < np.abs(road.kappa).max() < 1.0 / turning_radius(params)
+    lengths = [road.length for road in roads]
+    assert 55.0 < min(lengths) and np.median(lengths) < 120.0 and max(lengths) < 400.0
+    again = load_scenario("hairpin-7", params=params).path
+    np.testing.assert_array_equal(again.kappa, roads[7].kappa)
+    with pytest.raises(UnknownNameError, match="hairpin-NUMBER"):
+        load_scenario("hairpin-x", params=params)
+
+
 @pytest.mark.parametrize(
     "name", ["random-", "random--1", "random-01", "random-1e3", "random-9999999999"]
 )

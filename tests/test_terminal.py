@@ -6,7 +6,7 @@ from threadpoolctl import threadpool_limits
 
 from lpvmpc.car.bicycle import CORRECTED, EPSI, EY, NU, NX, VX, Bicycle, lpv
 from lpvmpc.car.hold import discretise
-from lpvmpc.control.cost import NZ, SPEEDS, cost_to_go, terminal_weight
+from lpvmpc.control.cost import NZ, SPEEDS, cost_to_go, kept_cost_to_go, terminal_weight
 from lpvmpc.control.lpv_mpc import LPVMPC
 from lpvmpc.plant.mjcf import packaged_car
 
@@ -72,6 +72,18 @@ def test_the_weight_has_the_same_bytes_for_any_number_of_threads(params):
         with threadpool_limits(threads, user_api="blas"):
             found.add(cost_to_go(*arguments).tobytes())
     assert len(found) == 1
+
+
+def test_what_is_looked_up_is_what_was_solved_and_cannot_be_written_to(params):
+    arguments = Bicycle.of(params), (params.Cf, 0.0, params.Cr, 0.0), tuple(Q), tuple(R), TS
+    kept = kept_cost_to_go(*arguments)
+    assert kept is kept_cost_to_go(*arguments)
+    car, *vectors, Ts = arguments
+    assert kept.tobytes() == cost_to_go(car, *map(np.array, vectors), Ts).tobytes()
+    with pytest.raises(ValueError, match="read-only"):
+        kept[0, 0, 0] = 1.0
+    others = kept_cost_to_go(car, vectors[0], tuple(2.0 * Q), tuple(R), Ts)
+    assert others.tobytes() != kept.tobytes()
 
 
 @pytest.mark.parametrize("quiet", [0.0, 1.0])

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, ClassVar
 
 import numpy as np
@@ -157,6 +158,16 @@ def increment_weights(weights: Any, names: Sequence[str], Ts: float) -> Array:
         Shape (nu,), in SI units.
     """
     return np.array([getattr(weights, f"r_{name}") / UNITS[name] ** 2 / Ts for name in names])
+
+
+@lru_cache(maxsize=64)  # ten milliseconds each, and the same for every car of a kind
+def kept_cost_to_go(
+    car: Bicycle, tires: tuple[float, ...], q: tuple[float, ...], r_du: tuple[float, ...], Ts: float
+) -> Array:
+    """The same as `cost_to_go`, of numbers that can be looked up; read-only."""
+    table = cost_to_go(car, np.array(tires), np.array(q), np.array(r_du), Ts)
+    table.flags.writeable = False
+    return table
 
 
 def cost_to_go(car: Bicycle, tires: Array, q: Array, r_du: Array, Ts: float) -> Array:

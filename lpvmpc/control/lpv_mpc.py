@@ -40,8 +40,8 @@ from lpvmpc.control.cost import (
     SLACK_WEIGHTS,
     SPEEDS,
     Weights,
-    cost_to_go,
     increment_weights,
+    kept_cost_to_go,
     stage_weights,
 )
 from lpvmpc.control.formulation import (
@@ -211,10 +211,11 @@ def _horizon(
     quiet = q[0] * np.where(np.isin(np.arange(NX), (EY, EPSI)), calm, 1.0)
     table = np.zeros((len(SPEEDS) * len(lags), NZ, NZ))
     if weights.terminal > 0.0 and steady:
-        axle_forces = np.array([car.Cf, 0.0, car.Cr, 0.0])
+        axle_forces = car.Cf, 0.0, car.Cr, 0.0
         cars = [bicycle._replace(tau_delta=float(lag), tau_ax=float(slow)) for lag, slow in lags]
         levels = [q[0]] if calm == 1.0 else [q[0], quiet]
-        costs = [cost_to_go(one, axle_forces, at, r_du, Ts) for at in levels for one in cars]
+        costs = [kept_cost_to_go(one, axle_forces, tuple(at), tuple(r_du), Ts)
+                 for at in levels for one in cars]
         table = weights.terminal * np.concatenate(costs)
     elif calm != 1.0:
         table = np.concatenate([table, table])

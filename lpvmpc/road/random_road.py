@@ -1,7 +1,8 @@
 """Roads drawn at random, each the same for the same number: for runs that nobody has tuned for.
 
 Open roads of 170 to 900 m: straights, bends, S-bends, chicanes, bends that tighten, and at least
-one hairpin of 9.5 to 14 m radius. A road may cross itself; what is driven is where the car is.
+one hairpin of 9.5 to 14 m radius; or, of 60 to 400 m, a hairpin with one other piece or none. A
+road may cross itself; what is driven is where the car is.
 """
 
 from __future__ import annotations
@@ -16,8 +17,10 @@ from lpvmpc.road import segments
 from lpvmpc.road.catalogue import Road
 from lpvmpc.road.segments import Segment, bend, line
 
-NAME = re.compile(r"random-(0|[1-9]\d{0,8})")
-"""What such a road is called; the number is the seed."""
+KINDS = ("random", "hairpin")
+"""What such roads are called, the short ones by their hairpin."""
+NAME = re.compile(rf"({'|'.join(KINDS)})-(0|[1-9]\d{{0,8}})")
+"""Name of one; the number is the seed."""
 SHARPEST = (9.5, 14.0)
 """Radii of hairpins [m]: a car of this package turns no tighter than about 5 m."""
 HALF_WIDTH = (3.0, 5.0)
@@ -26,19 +29,20 @@ PIECES = (1, 4)
 """Pieces besides the hairpin, at least and at most."""
 
 
-def number_of(name: str) -> int | None:
-    """The number of a random road by its name; None where the name is another's."""
+def by_name(name: str) -> Road | None:
+    """A random road by its name; None where the name is another's."""
     found = NAME.fullmatch(name)
-    return None if found is None else int(found[1])
+    if found is None:
+        return None
+    return (random_road if found[1] == "random" else hairpin_road)(int(found[2]))
 
 
 def random_road(number: int) -> Road:
     """A road by its number, 0 to 999,999,999."""
     rng = np.random.default_rng([number, 0x70AD])
     kinds: list[Callable[[np.random.Generator], list[Segment]]] = [hairpin]
-    others = (single, single, esses, chicane, tightening, sweeper)
     for _ in range(int(rng.integers(PIECES[0], PIECES[1] + 1))):
-        kinds.append(others[int(rng.integers(len(others)))])
+        kinds.append(OTHERS[int(rng.integers(len(OTHERS)))])
     pieces = line(float(rng.uniform(30.0, 60.0)))
     for i in rng.permutation(len(kinds)):
         pieces += kinds[i](rng)
@@ -47,6 +51,20 @@ def random_road(number: int) -> Road:
     pieces += line(30.0)
     path = segments.from_segments(pieces, width=float(rng.uniform(*HALF_WIDTH)))
     return Road(path=path, source=f"Random road number {number}.")
+
+
+def hairpin_road(number: int) -> Road:
+    """A short one by its number: a hairpin, in one of four before or behind another piece."""
+    rng = np.random.default_rng([number, 0x4A12])
+    kinds: list[Callable[[np.random.Generator], list[Segment]]] = [hairpin]
+    if rng.random() < 0.25:
+        kinds.insert(int(rng.integers(2)), OTHERS[int(rng.integers(len(OTHERS)))])
+    pieces = line(float(rng.uniform(15.0, 45.0)))
+    for kind in kinds:
+        pieces += kind(rng)
+    pieces += line(15.0)
+    path = segments.from_segments(pieces, width=float(rng.uniform(*HALF_WIDTH)))
+    return Road(path=path, source=f"Random hairpin number {number}.")
 
 
 def hairpin(rng: np.random.Generator) -> list[Segment]:
@@ -91,6 +109,10 @@ def chicane(rng: np.random.Generator) -> list[Segment]:
         *_bend(rng, 2.0 * degrees, [radius], part, -sign),
         *_bend(rng, degrees, [radius], part, sign),
     ]
+
+
+OTHERS = (single, single, esses, chicane, tightening, sweeper)
+"""What a road may have besides, the plain bend twice as often."""
 
 
 def _bend(

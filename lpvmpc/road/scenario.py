@@ -103,8 +103,8 @@ def load_scenario(
     other speeds are planned under `v_max`, `ay_max` or `grip`, and the car's drive and brakes.
 
     Args:
-        name_or_csv: A name of `list_scenarios()`, random-NUMBER (see `random_road`), or a file
-            whose name ends in .csv.
+        name_or_csv: A name of `list_scenarios()`, random-NUMBER or hairpin-NUMBER (see
+            `random_road`), or a file whose name ends in .csv.
         v_max: Top speed [m/s].
         ay_max: Lateral acceleration of the plan [m/s2], whatever the friction.
         grip: The same as a fraction of `params.ay_limit` times `friction`.
@@ -123,17 +123,18 @@ def load_scenario(
     """
     _check_options(v_max, ay_max, grip, wind_scale, friction)
     name = str(name_or_csv)
-    number = random_road.number_of(name)
-    if name in SCENARIOS or number is not None:
+    drawn = random_road.by_name(name)
+    if name in SCENARIOS or drawn is not None:
         if smoothing is not None:
             raise OptionError("smoothing", smoothing, f"left out: {name} is made of no points")
-        base = catalogue.build(name) if number is None else random_road.random_road(number)
+        base = catalogue.build(name) if drawn is None else drawn
         path = base.path if closed is None else _with_ends(base.path, closed, name)
     elif isinstance(name_or_csv, FilePath) or name.lower().endswith(".csv") or "/" in name:
         base = _from_csv(FilePath(name_or_csv), closed, smoothing, params)
         path, name = base.path, readable(FilePath(name_or_csv).stem)
     else:
-        raise UnknownNameError("scenario", name, [*SCENARIOS, "random-NUMBER", "FILE.csv"])
+        names = [*SCENARIOS, *(f"{kind}-NUMBER" for kind in random_road.KINDS), "FILE.csv"]
+        raise UnknownNameError("scenario", name, names)
     _check_curvature(path, params, name)
 
     v_cap = base.v_max if v_max is None else v_max
