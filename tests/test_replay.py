@@ -1,14 +1,16 @@
 """Replays: the plant answers as it did, parameters come back, scores and refusals."""
 
 import json
+import re
 
 import numpy as np
 import pytest
 
 from lpvmpc.errors import OptionError, UnknownNameError
+from lpvmpc.identify import signals
 from lpvmpc.identify.candidate import Candidate, check_names
 from lpvmpc.identify.conduct import conduct
-from lpvmpc.identify.fit import fit
+from lpvmpc.identify.fit import fit, visible
 from lpvmpc.identify.follow import Steering, replay
 from lpvmpc.identify.predict import plant
 from lpvmpc.identify.recording import Recording, read_recording
@@ -107,26 +109,24 @@ def test_hidden_stiffness_and_geometry_come_back(packaged):
         assert one.value == pytest.approx(hidden[one.name], rel=0.02)
         assert one.identifiable and not one.at_bound
     assert found.warnings == ()
-    # the servo's 33 ms between samples 33 ms apart, for which a straight line stands
-    assert found.timing.value == pytest.approx(-0.0027, abs=0.002)
+    # the recording was driven with commands held for a sample, and the servo's 33 ms
+    assert "servo" in found.wheel
 
 
 @pytest.mark.slow
 def test_intervals_hold_the_truth_in_ninety_of_a_hundred_draws(packaged):
     hidden = {"lf": 1.25, "lr": 1.5, "Cf": 1.15e5, "Cr": 2.4e5}
-    car = packaged.with_values(hidden)
-    data = drive(car.model(), seconds=10.0)
+    data = drive(packaged.with_values(hidden).model(), seconds=10.0)
+    near = packaged.with_values({k: 1.03 * v for k, v in hidden.items()})  # not where the truth is
     inside = dict.fromkeys(hidden, 0)
     for seed in range(100):
-        found = fit(car, list(hidden), [noisy(data, seed)], plant())
+        found = fit(near, list(hidden), [noisy(data, seed)], plant())
         for one in found.parameters:
             inside[one.name] += one.low95 <= hidden[one.name] <= one.high95
     assert min(inside.values()) >= 90, inside
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="a known miss: the time within a sample is fitted along, "
-                   "and without vy it takes 3 to 28 % from the stiffness")
 def test_stiffness_comes_back_without_a_measured_side_speed(packaged):
     hidden = {"Cf": 1.15e5, "Cr": 2.4e5}
     data = drive(packaged.with_values(hidden).model(), seconds=20.0)
@@ -136,9 +136,43 @@ def test_stiffness_comes_back_without_a_measured_side_speed(packaged):
             assert one.value == pytest.approx(hidden[one.name], rel=0.03)
 
 
+def test_a_wheel_that_is_late_is_noticed_and_not_fitted_unasked(own, packaged):
+    late = Recording(name="late", t=own.t, vx=own.vx, r=own.r, vy=own.vy,
+                     delta=np.interp(own.t + 0.02, own.t, own.delta))
+    found = fit(packaged, ["Cf", "Cr"], [late.rows(0, 150)], plant(), evaluations=8)
+    (told,) = [one for one in found.warnings if "later" in one]
+    assert 14 <= int(re.search(r"is (\d+) ms later", told).group(1)) <= 22
+    assert found.candidate.steering.latency == 0.0
+
+
+def test_what_a_recording_says_nothing_of_stays_where_it_was(own, packaged):
+    data = noisy(own.rows(0, 150), 1, share=0.3, vy=False)
+    found = fit(packaged, ["Cf", "h"], [data], plant())
+    stiffness, height = found.parameters
+    assert stiffness.identifiable and not height.identifiable
+    assert height.value == pytest.approx(height.start, rel=0.15)
+
+
+def test_the_parameters_that_are_fitted_unnamed_are_those_that_the_recording_shows(own):
+    assert visible([noisy(own, 0, vy=False)], 8.0) == ("Cf", "Cr")
+    assert "mu_f" not in visible([own], 8.0) and "lf" in visible([own], 8.0)
+    assert "mu_f" in visible([own], 4.0)
+
+
+def test_noise_is_told_from_motion_and_a_servo_between_samples_from_a_line():
+    t = 0.033 * np.arange(600)
+    wave = np.sin(2 * np.pi * 2.0 * t)
+    rng = np.random.default_rng(0)
+    assert signals.noise(wave) < 0.002
+    assert signals.noise(wave + 0.05 * rng.normal(size=600)) == pytest.approx(0.05, rel=0.15)
+    step = np.array([0.0, 1.0, 1.0])
+    at = signals.between(np.arange(3.0), step, np.array([-1.0, 0.5, 1.0, 9.0]), 0.5)
+    assert at == pytest.approx([0.0, (1 - np.exp(-1)) / (1 - np.exp(-2)), 1.0, 1.0])
+
+
 def test_mass_is_not_identifiable_from_yaw_rate_alone(own, packaged):
-    data = noisy(own.rows(0, 200), 0, vy=False)
-    found = fit(packaged, ["m", "Iz", "Cf", "Cr"], [data], plant(), evaluations=6)
+    data = noisy(own.rows(0, 120), 0, vy=False)
+    found = fit(packaged, ["m", "Iz", "Cf", "Cr"], [data], plant(), evaluations=4)
     assert any("told apart" in one or "not identifiable" in one for one in found.warnings)
 
 

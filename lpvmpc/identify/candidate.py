@@ -28,6 +28,8 @@ class Parameter:
     """Least value: of `scale`, added to the start value where `added`, else times it."""
     high: float
     """Largest value, likewise."""
+    spread: float
+    """How well it is known beforehand, as a standard deviation, of its scale."""
     scale: float = 1.0
     """What counts as a large change, of the start value unless `added`."""
     added: bool = False
@@ -37,29 +39,33 @@ class Parameter:
 
 
 PARAMETERS: dict[str, Parameter] = {
-    "m": Parameter(about="mass", unit="kg", low=0.4, high=3.0),
-    "lf": Parameter(about="centre of mass to front axle", unit="m", low=0.5, high=1.8),
-    "lr": Parameter(about="centre of mass to rear axle", unit="m", low=0.5, high=1.8),
-    "Iz": Parameter(about="yaw inertia", unit="kg m2", low=0.4, high=2.5),
-    "h": Parameter(about="height of the centre of mass", unit="m", low=0.5, high=1.8),
-    "mu_f": Parameter(about="peak friction of the front tires", unit="-", low=0.4, high=2.0),
-    "mu_r": Parameter(about="peak friction of the rear tires", unit="-", low=0.4, high=2.0),
-    "Cf": Parameter(about="cornering stiffness of the front axle", unit="N/rad", low=0.2, high=5.0),
-    "Cr": Parameter(about="cornering stiffness of the rear axle", unit="N/rad", low=0.2, high=5.0),
+    "m": Parameter(about="mass", unit="kg", low=0.4, high=3.0, spread=0.3),
+    "lf": Parameter(about="centre of mass to front axle", unit="m", low=0.5, high=1.8, spread=0.25),
+    "lr": Parameter(about="centre of mass to rear axle", unit="m", low=0.5, high=1.8, spread=0.25),
+    "Iz": Parameter(about="yaw inertia", unit="kg m2", low=0.4, high=2.5, spread=0.3),
+    "h": Parameter(about="height of the centre of mass", unit="m", low=0.5, high=1.8, spread=0.3),
+    "mu_f": Parameter(
+        about="peak friction of the front tires", unit="-", low=0.4, high=2.0, spread=0.2),
+    "mu_r": Parameter(
+        about="peak friction of the rear tires", unit="-", low=0.4, high=2.0, spread=0.2),
+    "Cf": Parameter(
+        about="cornering stiffness of the front axle", unit="N/rad", low=0.2, high=5.0, spread=0.6),
+    "Cr": Parameter(
+        about="cornering stiffness of the rear axle", unit="N/rad", low=0.2, high=5.0, spread=0.6),
     "relaxation": Parameter(
-        about="factor on the lateral relaxation lengths", unit="-", low=0.15, high=5.0),
+        about="factor on the lateral relaxation lengths", unit="-", low=0.15, high=5.0, spread=0.6),
     "steer_lag": Parameter(
         about="time constant of the steering after the recorded angle", unit="s", low=0.0, high=0.3,
-        scale=0.03, added=True, steering=True),
+        spread=2.0, scale=0.03, added=True, steering=True),
     "steer_offset": Parameter(
         about="road-wheel angle where zero is recorded", unit="rad", low=-0.05, high=0.05,
-        scale=0.005, added=True, steering=True),
+        spread=2.0, scale=0.005, added=True, steering=True),
     "steer_ratio": Parameter(
-        about="road-wheel angle per recorded angle", unit="-", low=0.5, high=2.0, added=True,
-        steering=True),
+        about="road-wheel angle per recorded angle", unit="-", low=0.5, high=2.0, spread=0.2,
+        added=True, steering=True),
     "latency": Parameter(
         about="time by which the road wheel is later than recorded", unit="s", low=-0.1, high=0.3,
-        scale=0.03, added=True, steering=True),
+        spread=2.0, scale=0.03, added=True, steering=True),
 }
 """What `--fit` knows."""
 IN_SINGLE_TRACK = {

@@ -1,43 +1,45 @@
 """Bounded least squares of a model's parameters on recordings, and how sure they are.
 
     minimise  sum over channels and samples of ((simulated - measured) / deviation)^2
+              + pull^2 sum over parameters of ((value - start) / spread)^2
 
-The deviation of a channel is the standard deviation of what was measured. The differences for the
-Jacobian are driven as one batch with the candidate itself. Residuals of a model that is not the
-car are alike from sample to sample, so that their number says too much: the covariance is the
-sandwich (J'J)^-1 J' S J (J'J)^-1 with S of Newey and West (1987), and never below the one of
-white residuals.
+The deviation of a channel is the standard deviation of what was measured; `problem` has the rest.
 
-What the wheel does between two samples is not recorded: a servo that moves at once and one that
-moves late leave the same samples. So, unless `latency` is asked for, a time of up to half a sample
-is identified along (`TIMING`): a car that is 3 ms late passes for one with other axles.
+What the wheel does between two samples is not recorded, and a wheel that is 3 ms late passes for a
+car with other axles. It is not fitted, which would take from the axles what noise gives it, but
+chosen: straight lines, or the response of the car's own servo to a command held for a sample,
+whichever explains the recordings better (`ways`). Whether the recordings ask for another time is
+said (`OFF`); the parameter `latency` is there to fit it.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
 
-from lpvmpc.errors import LPVMPCError, OptionError
 from lpvmpc.identify.candidate import PARAMETERS, Candidate
+from lpvmpc.identify.follow import Steering
 from lpvmpc.identify.predict import Predictor
+from lpvmpc.identify.problem import Problem
 from lpvmpc.identify.recording import Recording
-from lpvmpc.identify.scores import channels
 from lpvmpc.units import Array
 
-TIMING = "latency"
-"""Parameter that is identified along, within half a sample."""
-SETTLE = 0.5
-"""Beginning of each segment that is not fitted [s]: it shows the first state, which is guessed."""
-STEP = 1e-3
-"""Step of the differences, of a parameter's scale."""
-MEMORY = 1.0
-"""Time over which residuals may be alike [s], in the covariance."""
+LATENCY = "latency"
+"""Parameter whose absence is checked."""
+OFF = 0.002
+"""A time [s] that the recordings ask for, beyond which it is said, if it is significant."""
+SAME = 1e-4
+"""Two ways of the wheel whose mean times differ by less [s] are one."""
+PULL = 0.02
+"""Level of the residuals that a fit begins with, of a channel's deviation: two per cent."""
+NEAR = 0.7
+"""Share of the lateral limit from which on a recording shows friction."""
+MOVED = 0.1
+"""A change below this, of a standard deviation, is none."""
 CERTAIN = 1.96
 """Standard deviations of a 95 % interval."""
 WIDE = 0.3
@@ -47,8 +49,6 @@ ALIKE = 0.98
 """Two parameters correlated beyond this cannot be told apart."""
 INFLATED = 400.0
 """A variance that the other parameters inflate more than this is theirs as well."""
-SPUN = 10.0
-"""Residual of a car that does not follow, in standard deviations."""
 EVALUATIONS = 25
 """Most evaluations of a fit."""
 
@@ -86,8 +86,8 @@ class Fit:
     """Mean square of the residuals, in standard deviations of what was measured."""
     evaluations: int
     """How often the batch was driven."""
-    timing: Fitted | None
-    """Time within a sample by which the wheel is late; None where `latency` was asked for."""
+    wheel: str
+    """What the wheel does between samples, as was chosen."""
 
     def as_json(self) -> dict[str, Any]:
         """The same as JSON has it."""
@@ -107,113 +107,8 @@ class Fit:
                 for i, a in enumerate(names)
             },
             "warnings": list(self.warnings), "cost": self.cost, "evaluations": self.evaluations,
-            "timing_s": None if self.timing is None else self.timing.value,
+            "wheel": self.wheel,
         }
-
-
-def bounds(name: str, start: float) -> tuple[float, float, float]:
-    """Least and largest value and scale of a parameter that starts somewhere."""
-    p = PARAMETERS[name]
-    if p.added:
-        return p.low, p.high, p.scale
-    return p.low * start, p.high * start, p.scale * abs(start)
-
-
-class _Problem:
-    """Residuals and their Jacobian in scaled parameters, with the last evaluation kept."""
-
-    def __init__(
-        self, start: Candidate, names: Sequence[str], segments: Sequence[Recording],
-        predict: Predictor, timing: bool,
-    ) -> None:
-        self.start, self.names, self.segments, self.predict = start, names, segments, predict
-        ends = [bounds(name, start.value(name)) for name in names]
-        if timing:
-            half = 0.5 * max(one.step for one in segments)
-            now = start.value(TIMING)
-            ends[-1] = now - half, now + half, PARAMETERS[TIMING].scale
-        self.scale = np.array([scale for _, _, scale in ends])
-        self.low = np.array([low for low, _, _ in ends]) / self.scale
-        self.high = np.array([high for _, high, _ in ends]) / self.scale
-        self.x0 = np.array([start.value(name) for name in names]) / self.scale
-        self.fitted = [one.t >= one.t[0] + SETTLE for one in segments]
-        self.measured = [list(channels(one).values()) for one in segments]
-        self.columns = list(channels(segments[0]))
-        if any(list(channels(one)) != self.columns for one in segments):
-            raise OptionError(
-                "--fit-on", ", ".join(sorted({one.name for one in segments})),
-                "recordings with the same columns"
-            )
-        self.deviations = [
-            max(float(np.concatenate(
-                [channels(one)[name][use]
-                 for one, use in zip(segments, self.fitted, strict=True)]).std()), 1e-6)
-            for name in self.columns
-        ]
-        self.evaluations = 0
-        self.known: Array | None = None
-        self.jacobian = np.empty((0, 0))
-        self.samples: list[int] = []
-        self.step: list[float] = []
-
-    def candidate(self, x: Array) -> Candidate:
-        values = dict(zip(self.names, (x * self.scale).tolist(), strict=True))
-        return self.start.with_values(values)
-
-    def residuals(self, x: Array) -> Array:
-        """Shape (n,); drives the differences too."""
-        steps = np.where(x + STEP <= self.high, STEP, -STEP)
-        tries = [x, *(x + h * np.eye(len(x))[i] for i, h in enumerate(steps))]
-        self.evaluations += 1
-        parts: list[Array] = []  # (1 + P, n of a segment and channel)
-        try:
-            candidates = [self.candidate(one) for one in tries]
-            for segment, use in zip(self.segments, self.fitted, strict=True):
-                driven = self.predict(candidates, segment)
-                for name, deviation in zip(self.columns, self.deviations, strict=True):
-                    errors = [
-                        (one[name] - channels(segment)[name])[use] / deviation for one in driven
-                    ]
-                    parts.append(np.stack(errors))
-        except LPVMPCError:  # such a car does not drive there
-            if self.known is None:
-                raise
-            self.jacobian = np.zeros_like(self.jacobian)
-            return np.full(self.jacobian.shape[0], SPUN)
-        self.samples = [part.shape[1] for part in parts]
-        self.step = [one.step for one in self.segments for _ in self.columns]
-        table = np.concatenate(parts, axis=1)
-        self.jacobian = ((table[1:] - table[0]) / steps[:, None]).T
-        self.known = x.copy()
-        return table[0]
-
-    def derivative(self, x: Array) -> Array:
-        """Jacobian, shape (n, P)."""
-        if self.known is None or not np.array_equal(x, self.known):
-            self.residuals(x)
-        return self.jacobian
-
-    def covariance(self, residuals: Array) -> Array:
-        """Of the scaled estimates, shape (P, P)."""
-        J = self.jacobian
-        bread = np.linalg.pinv(J.T @ J, rcond=1e-14)
-        dof = max(len(residuals) - J.shape[1], 1)
-        white = bread * float(residuals @ residuals) / dof
-        meat = np.zeros_like(bread)
-        first = 0
-        for count, step in zip(self.samples, self.step, strict=True):
-            part = slice(first, first + count)
-            first += count
-            moments = J[part] * residuals[part, None]
-            meat += moments.T @ moments
-            lags = min(round(MEMORY / step), count // 4)
-            for lag in range(1, lags + 1):
-                both = moments[lag:].T @ moments[:-lag]
-                meat += (1.0 - lag / (lags + 1.0)) * (both + both.T)
-        robust = bread @ meat @ bread * (len(residuals) / dof)
-        # each parameter's larger variance, with the correlations of the robust one
-        wider = np.sqrt(np.maximum(np.diag(white) / np.maximum(np.diag(robust), 1e-300), 1.0))
-        return robust * np.outer(wider, wider)
 
 
 def fit(
@@ -227,30 +122,35 @@ def fit(
         names: Parameters, of `candidate.PARAMETERS`.
         recordings: What to fit on, all with the same columns.
         predict: The model.
-        evaluations: Most evaluations of the batch.
+        evaluations: Most evaluations of the batch in each descent.
 
     Raises:
         OptionError: Recordings with different columns.
         LPVMPCError: The car that is begun with cannot follow a recording.
     """
     segments = [one for recording in recordings for one in recording.segments()]
-    timing = TIMING not in names
-    asked, names = len(names), [*names, TIMING] if timing else list(names)
-    problem = _Problem(start, names, segments, predict, timing)
-    margin = 1e-9 * (problem.high - problem.low)
-    begin = np.clip(problem.x0, problem.low + margin, problem.high - margin)
-    found = least_squares(
-        problem.residuals, begin, jac=problem.derivative, bounds=(problem.low, problem.high),
-        x_scale=1.0, method="trf", ftol=1e-7, xtol=1e-5, gtol=1e-9, max_nfev=evaluations,
-    )
-    problem.derivative(found.x)
-    covariance = problem.covariance(found.fun)
+    names = list(names)
+    tried: list[Problem] = []
+    found: list[Array] = []
+    for steering in ways(start, segments):
+        tried.append(Problem(replace(start, steering=steering), names, segments, predict, PULL))
+        found.append(tried[-1].descend(found[-1] if found else tried[-1].x0, evaluations))
+    which = int(np.argmin([float(one.errors @ one.errors) for one in tried]))
+    best, x = tried[which], found[which]
+    best.pull = best.level()
+    if best.asks(x) > MOVED:
+        x = best.descend(x, evaluations)
+    used = sum(problem.evaluations for problem in tried)
+    told = _timing(best, x)
+    used += LATENCY not in names
+    covariance = best.covariance()
     deviation = np.sqrt(np.diag(covariance))
     correlations = covariance / np.maximum(np.outer(deviation, deviation), 1e-300)
-    x, scale = found.x, problem.scale
-    near = 1e-3 * (problem.high - problem.low)
-    at_bound = (x < problem.low + near) | (x > problem.high - near)
-    unseen = (problem.jacobian**2).sum(axis=0) < 1e-8 * (found.fun @ found.fun)
+    scale = best.scale
+    near = 1e-3 * (best.high - best.low)
+    at_bound = (x < best.low + near) | (x > best.high - near)
+    power = float(best.errors @ best.errors)
+    unseen = (best.jacobian**2).sum(axis=0) < 1e-8 * power
     wide = unseen | (CERTAIN * deviation > WIDE)
     parameters = tuple(
         Fitted(
@@ -262,15 +162,74 @@ def fit(
         )
         for i, name in enumerate(names)
     )
-    along = parameters[-1] if timing else None
-    parameters, correlations = parameters[:asked], correlations[:asked, :asked]
+    told = [*_warnings(parameters, correlations, best.columns), *told]
+    if best.stopped:
+        told.append(f"The fit was stopped after {evaluations} evaluations, before it was done.")
     return Fit(
-        candidate=problem.candidate(x), parameters=parameters, correlations=correlations,
-        timing=along,
-        warnings=tuple(_warnings(parameters, correlations, problem.columns, found.nfev,
-                                 evaluations)),
-        cost=float(found.fun @ found.fun) / len(found.fun), evaluations=problem.evaluations,
+        candidate=best.candidate(x), parameters=parameters, correlations=correlations,
+        wheel=_wheel(best.start.steering, segments), warnings=tuple(told),
+        cost=power / len(best.errors), evaluations=used,
     )
+
+
+def visible(recordings: Sequence[Recording], ay_limit: float) -> tuple[str, ...]:
+    """The parameters that recordings show, where none are named.
+
+    Yaw rate alone shows the stiffness of the axles. Side speed shows their place, inertia and
+    relaxation as well, and, where the car comes near the limit, the friction.
+
+    Args:
+        recordings: What is fitted on.
+        ay_limit: Lateral limit of the car that is begun with [m/s2].
+    """
+    if any(one.vy is None for one in recordings):
+        return "Cf", "Cr"
+    near = max(float(np.percentile(np.abs(one.lateral), 99.0)) for one in recordings)
+    friction = ("mu_f", "mu_r") if near > NEAR * ay_limit else ()
+    return "lf", "lr", "Cf", "Cr", "Iz", "relaxation", *friction
+
+
+def ways(start: Candidate, segments: Sequence[Recording]) -> list[Steering]:
+    """What the wheel may do between samples: a straight line, or what the car's own servo does.
+
+    The servo's way is among them where none is known, nothing is held, and the two differ in their
+    mean times by more than `SAME`.
+    """
+    law, tau = start.steering, start.numbers.tau_delta
+    step = float(np.median([one.step for one in segments]))
+    # mean over a sample of (1 - exp(-t / tau)) / (1 - exp(-step / tau)), less a half
+    ahead = step * (-1.0 / math.expm1(-step / tau) - tau / step - 0.5)
+    if law.servo > 0.0 or ahead < SAME or all(one.held for one in segments):
+        return [law]
+    return [law, replace(law, servo=tau)]
+
+
+def _wheel(law: Steering, segments: Sequence[Recording]) -> str:
+    if all(one.held for one in segments):
+        return "held, as recorded"
+    if law.servo > 0.0:
+        return f"a servo's response of {1000 * law.servo:.0f} ms to a command held for a sample"
+    return "straight lines"
+
+
+def _timing(problem: Problem, x: Array) -> list[str]:
+    """Whether the recordings ask for another time of the wheel: one step of a fit that has it."""
+    if LATENCY in problem.names:
+        return []
+    wider = Problem(
+        problem.start, [*problem.names, LATENCY], problem.segments, problem.predict, problem.pull
+    )
+    at = np.append(x, wider.x0[-1])
+    wider.at(at)
+    time = float(wider.step(at)[-1] * wider.scale[-1])
+    sure = CERTAIN * float(np.sqrt(wider.covariance()[-1, -1]) * wider.scale[-1])
+    if abs(time) < max(OFF, sure):
+        return []
+    return [
+        f"The recordings would be explained better by a wheel that is {1000 * abs(time):.0f} ms "
+        f"{'later' if time > 0.0 else 'earlier'} (+- {1000 * sure:.0f} ms) than they say; --fit "
+        f"{' '.join(problem.names)} {LATENCY} identifies that."
+    ]
 
 
 def _inflation(correlations: Array) -> Array:
@@ -282,7 +241,7 @@ def _inflation(correlations: Array) -> Array:
 
 
 def _warnings(
-    parameters: Sequence[Fitted], correlations: Array, columns: Sequence[str], used: int, most: int
+    parameters: Sequence[Fitted], correlations: Array, columns: Sequence[str]
 ) -> list[str]:
     """What a reader should not overlook."""
     told = []
@@ -312,8 +271,6 @@ def _warnings(
                     f"{parameters[j].name} and {one.name} cannot be told apart from these data "
                     f"({known}): their correlation is {correlations[i, j]:.3f}."
                 )
-    if used >= most:
-        told.append(f"The fit was stopped after {most} evaluations, before it was done.")
     if not all(math.isfinite(one.value) for one in parameters):
         told.append("The fit has found no numbers.")
     return told

@@ -2,7 +2,8 @@
 
 The steering servo is bypassed: in a copy of the compiled model its time constant is set to nothing
 and its rate limit is lifted, so that the knuckles stand at the recorded angle at the end of each
-physics step. Between samples the angle is linear in time, or held where the recording holds it.
+physics step. Between samples the angle is linear in time, or moves as a servo does (`Steering`), or
+is held where the recording holds it.
 The speed is followed by the car's own driven wheels and brakes, without lag and with limits lifted
 ("wheels"), or by a force on the whole car at the height of the road ("force"), which leaves the
 tires to the side forces.
@@ -60,10 +61,13 @@ class Steering:
     """Time constant of a first-order lag [s]."""
     latency: float = 0.0
     """Time by which the knuckle is late [s]; negative where the recording is."""
+    servo: float = 0.0
+    """Time constant with which the knuckle goes from sample to sample [s], as that of a servo whose
+    command is held meanwhile; 0: straight lines."""
 
     def angle(self, recording: Recording, times: Array) -> Array:
         """Angle at the knuckle at times [s] that are equally spaced, shape (k,)."""
-        wanted = recording.steering(times - self.latency)
+        wanted = recording.steering(times - self.latency, self.servo)
         if self.lag > 0.0 and len(times) > 1:
             keep = float(np.exp(-(times[1] - times[0]) / self.lag))
             wanted = lfilter([1.0 - keep], [1.0, -keep], wanted, zi=[keep * wanted[0]])[0]

@@ -10,9 +10,9 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import UnivariateSpline
 
 from lpvmpc.errors import DataError
+from lpvmpc.identify import signals
 from lpvmpc.kit.files import MOST, read_bytes
 from lpvmpc.units import Array
 
@@ -86,14 +86,18 @@ class Recording:
         return self.r * self.vx
 
     @cached_property
-    def _speed(self) -> UnivariateSpline:
-        """The speed as a cubic spline, smoothed as far as its noise asks for.
+    def _speed(self) -> signals.UnivariateSpline:
+        """The speed as a smoothed spline."""
+        return signals.spline(self.t, self.vx)
 
-        Noise is what fourth differences see: their variance is 70 times that of white noise.
+    @cached_property
+    def _angle(self) -> Array:
+        """The steering angle at the samples [rad], without its white noise.
+
+        Noise of what drives a model is not like noise of what it is compared with: the fit would
+        look for a model that answers it less (one that is late, or soft).
         """
-        fourth = np.diff(self.vx, 4)
-        noise = float(np.median(np.abs(fourth))) / 0.6745 / math.sqrt(70.0)
-        return UnivariateSpline(self.t, self.vx, s=len(self.t) * max(noise, 1e-6) ** 2)
+        return self.delta if self.held else signals.spline(self.t, self.delta)(self.t)
 
     @cached_property
     def held(self) -> bool:
@@ -105,14 +109,14 @@ class Recording:
         inner = change[moving[0] : moving[-1] + 1]
         return bool((inner == 0.0).mean() > HELD)
 
-    def steering(self, times: Array) -> Array:
+    def steering(self, times: Array, servo: float = 0.0) -> Array:
         """Steering angle at equally spaced times [rad].
 
-        Linear between samples, or, where `held`, that of the sample before, as its mean over the
-        step that ends at each time.
+        Between samples as `signals.between` says, or, where `held`, that of the sample before, as
+        its mean over the step that ends at each time.
         """
         if not self.held or len(times) < 2:
-            return np.interp(times, self.t, self.delta)
+            return signals.between(self.t, self._angle, times, servo)
         dt = times[1] - times[0]
         ends = np.append(self.t, self.t[-1] + self.step)
         total = np.concatenate([[0.0], np.cumsum(self.delta * np.diff(ends))])

@@ -111,11 +111,8 @@ def fit_tables(replay: Replay) -> list[str]:
         ["model", "parameter", "unit", "start", "value", "95 % interval", "note"], rows,
         ["parameter", "unit", "note"],
     )]
-    timing = {m: f.timing for m, f in replay.fits.items() if f.timing is not None}
-    if timing:
-        found.append("Identified along, the time within a sample by which the wheel is late: " + (
-            ", ".join(f"{TITLES[m]} {1000 * one.value:.1f} ms" for m, one in timing.items())
-        ) + ".\n")
+    found.append("The wheel between samples, as chosen: " + "; ".join(
+        f"{TITLES[model]} {fit.wheel}" for model, fit in replay.fits.items()) + ".\n")
     fit = replay.fits[PLANT]
     names = [one.name for one in fit.parameters]
     if len(names) > 1:

@@ -107,16 +107,21 @@ def drive(
         vy [m/s], r [rad/s], ay [m/s2] and x, y [m], psi [rad] from the start, shapes (n,).
     """
     fine = np.arange(recording.t[0], recording.t[-1] + 1e-3, 1e-3)
-    delta = np.interp(recording.t, fine, steering.angle(recording, fine))
-    vx = recording.speed(recording.t)[0]
+    # the wheel between samples is that of the plant: each sample's time is cut into short parts
+    parts = max(1, math.ceil(recording.step / STEP - 1e-9))
+    n = len(recording.t)
+    times = np.interp(np.arange((n - 1) * parts + 1) / parts, np.arange(n), recording.t)
+    delta = np.interp(times, fine, steering.angle(recording, fine))
+    vx = recording.speed(times)[0]
     free = recording.vy is None
     vy0 = 0.0 if recording.vy is None else recording.first(recording.vy)
-    out = np.empty((len(recording.t), 3))
+    out = np.empty((len(times), 3))
     _drive(
-        recording.t, delta, vx, vy0, recording.first(recording.r), free, tuple(p),
+        times, delta, vx, vy0, recording.first(recording.r), free, tuple(p),
         kind == "linear", out,
     )
-    vy, r, ay = out.T
+    vy, r, ay = out[::parts].T
+    vx = vx[::parts]
     dt = np.diff(recording.t)
 
     def integral(values: Array) -> Array:
