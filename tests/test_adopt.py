@@ -31,9 +31,10 @@ def test_stages_that_are_through_are_not_repeated(tmp_path, monkeypatch):
         "Cf": {"value": 1.2e5, "low95": 1.1e5, "high95": 1.3e5, "unit": "N/rad"}}}
     results = {
         "fit": {"fit": fit, "ratio_linear": 2.0, "held_back": {"a.csv": {"r": 0.9, "vy": None}}},
-        "drive": {"runs": {"ideal": {
-            "completed": False, "reason": "left the road", "lateral_rmse_m": 0.001,
-            "lateral_max_m": 0.01, "duration_s": 90.0}}},
+        "drive": {"runs": {
+            "ideal": [{"seed": 0, "completed": False, "reason": "left the road"}],
+            "rtk": [{"seed": 4, "completed": True, "reason": "", "lateral_rmse_m": 0.007,
+                     "lateral_max_m": 0.01, "duration_s": 90.0}]}},
     }
 
     def stage(name, fails=False):
@@ -56,7 +57,8 @@ def test_stages_that_are_through_are_not_repeated(tmp_path, monkeypatch):
     assert cli.run(adopt.Options, adopt.main, [*words, "--resume"]) == 3
     assert called == ["fit", "collect", "train", "train", "tune", "drive"]
     told = (tmp_path / "car" / "adopt.md").read_text()
-    assert "only 0.900 of r" in told and "did not complete: left the road" in told
+    assert "only 0.900 of r" in told and "draw 0, the car did not complete: left the road" in told
+    assert "rtk the median RMSE is 7.00 mm, more than the 6 mm" in told
     assert "linear single track" in told
     assert set(json.loads((tmp_path / "car" / "adopt.json").read_text())["stages"]) == {
         "fit", "collect", "train", "tune", "drive"}

@@ -142,10 +142,10 @@ def tune(options: Options) -> int:
     files = tuning_report.save(tuned, before, after, out)
     if options.json is not None:
         write_json(options.json, tuning_report.as_json(tuned, before, after))
-    (out / "checkpoint.json").unlink()
     if (folder := folder_of(options.car)) is not None:
         own = cli.writable_folder(folder / "weights") / f"{name}.toml"
         write_text(own, (out / "weights.toml").read_text(encoding="utf-8"))
+    (out / "checkpoint.json").unlink()
     print_result(tuned, before, after)
     print(f"Saved {out}/ ({', '.join(file.name for file in files)})")
     return cli.DONE
