@@ -40,6 +40,7 @@ RIVALS: dict[str, Rival] = {
     "nmpc-textbook": Rival(
         module="nmpc", maker="TextbookNMPC", packages=("casadi",), extra="nmpc", slow=True
     ),
+    "mpcc": Rival(module="mpcc", maker="MPCC", packages=("casadi",), extra="nmpc", slow=True),
     "lpv-mpc-alcala": Rival(module="alcala", maker="Alcala"),
     "mppi": Rival(module="mppi", maker="MPPI", slow=True),
     "ppo": Rival(module="ppo", maker="PPO", learned=True),

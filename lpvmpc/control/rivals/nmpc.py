@@ -114,6 +114,8 @@ class NMPC(Tracker):
     """Whether the model is the plain dynamic bicycle, and nothing is learned."""
     by_hand = NMPCWeights()
     """What it drives with where no weights are given and none are shipped."""
+    sizes = NX, NU
+    """States and inputs of the quadratic program."""
 
     def __init__(
         self,
@@ -152,7 +154,7 @@ class NMPC(Tracker):
         self._kappa = np.zeros(NP + 1)
         self._us, self._xs = np.zeros((NP, NU)), np.zeros((NP + 1, NX))
         self._cost = np.inf
-        self.qp = StagedQP(NP, NX, NU, self.name)
+        self.qp = StagedQP(NP, *self.sizes, self.name)
         super().__init__(car, _horizon(car, bicycle, w, delay, self.textbook))
         if not self.textbook:
             self.preview_steps += LOOK_AHEAD
@@ -216,24 +218,17 @@ class NMPC(Tracker):
     def solve(self) -> QPResult:
         """Sequential quadratic programming, from the plan of the period before."""
         start = time.thread_time_ns()
-        h, qp = self.horizon, self.qp
         value, status, residual, spent, n = self._cost, "NOT_FINITE", np.nan, 0.0, 0
-        du_max = np.array([h.du_max[0], np.inf])
-        plan = (self._kappa, self.model, self._learned)
         while n < ITERATIONS and value < np.inf:
-            nmpc_sqp.linearise(h.handle, *plan, self._us, self._xs)
-            write(
-                h.Ad, h.Bd, h.cd, h.schedule[0], h.queue[-1], h.x_ref, h.q, h.r_du, h.terminal,
-                h.z_ref, h.u_lo, h.u_hi, du_max, qp.data,
-            )
-            v, error, outcome, us = qp.solve()
+            self.program()
+            v, error, outcome, us = self.qp.solve()
             spent += us
             if n == 0 or outcome == "SOLVED":
                 status, residual = outcome, error
             if outcome != "SOLVED" or not error <= TOLERANCE:
                 break
             n += 1
-            value, done = nmpc_sqp.search(h.handle, v, *plan, value, self._us, self._xs)
+            value, done = self.search(v, value)
             if done:
                 break
         others = (time.thread_time_ns() - start) * 1e-3 - spent
@@ -241,6 +236,32 @@ class NMPC(Tracker):
         if not solved and status == "SOLVED":
             status = "WRONG"
         return QPResult(self._us.ravel(), solved, status, residual, spent, others, n)
+
+    def program(self) -> None:
+        """Write the quadratic program about the plan."""
+        h = self.horizon
+        plan = (self._kappa, self.model, self._learned, self._us, self._xs)
+        nmpc_sqp.linearise(h.handle, *plan)
+        write(
+            h.Ad, h.Bd, h.cd, h.schedule[0], h.queue[-1], h.x_ref, h.q, h.r_du, h.terminal,
+            h.z_ref, h.u_lo, h.u_hi, np.array([h.du_max[0], np.inf]), self.qp.data,
+        )
+
+    def search(self, v: Array, value: float) -> tuple[float, bool]:
+        """Go towards the solution of the quadratic program.
+
+        Args:
+            v: The solution, as `staged_qp` orders it.
+            value: Cost of the plan.
+
+        Returns:
+            Cost of the new plan, and whether it is done.
+        """
+        plan = (self._kappa, self.model, self._learned)
+        found: tuple[float, bool] = nmpc_sqp.search(
+            self.horizon.handle, v, *plan, value, self._us, self._xs
+        )
+        return found
 
     def accept(self, z: Array) -> None:
         """Make the plan that was found the plan, and its states the prediction."""
