@@ -38,7 +38,7 @@ Progress = Callable[[int, float, float], None]
 class Recipe:
     """Everything that decides what is learned."""
 
-    steps: int = 600_000
+    steps: int = 2_400_000
     """Control periods driven by all cars together."""
     seed: int = 0
     """Seed of network, noise, roads and worlds."""
@@ -56,7 +56,7 @@ class Recipe:
     """Discount a period."""
     log_std: float = -1.7
     """Logarithm of the first noise on the actions."""
-    worlds: tuple[str, ...] = ("ideal", "ideal", "ideal", "rtk")
+    worlds: tuple[str, ...] = ("ideal", "rtk", "fleet", "fleet")
     """Worlds of the episodes, each as likely as the next."""
     max_steps: int = 400
     """Longest episode [periods]."""
