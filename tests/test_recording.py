@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from lpvmpc.errors import DataError
+from lpvmpc.identify import signals
 from lpvmpc.identify.recording import read_recording
 
 
@@ -113,9 +114,22 @@ def test_a_held_command_is_told_from_a_sampled_angle(tmp_path):
     assert recording.held
     times = np.arange(0.0, 9.0, 0.001)
     angle = recording.steering(times)
-    inside = np.abs((times / 0.2) % 1.0 - 0.5) < 0.4  # away from the jumps
-    expected = table["delta_rad"][np.floor(times / 0.05 + 1e-9).astype(int)]
+    late = times + 0.025  # jumps are seen half a sample after they happened, in the middle
+    inside = np.abs((late / 0.2) % 1.0 - 0.5) < 0.4  # away from the jumps
+    expected = table["delta_rad"][np.floor(late / 0.05).astype(int)]
     assert angle[inside] == pytest.approx(expected[inside], abs=1e-8)
+
+
+def test_the_period_of_held_commands_is_found_between_the_samples():
+    t = 0.033 * np.arange(900)
+    when = 0.1 * np.arange(1, 300) + 0.004
+    values = np.searchsorted(when, t, "right").astype(float)
+    found = signals.changes(t, values)[np.diff(values) != 0.0]
+    assert found == pytest.approx(when[: len(found)], abs=0.002)  # half a sample is 0.016
+    values = np.repeat(np.arange(100.0), 9)[:900]
+    values[500:] = np.roll(values, 4)[500:]  # no period: the middle
+    seen = np.diff(values) != 0.0
+    assert signals.changes(t, values)[seen] == pytest.approx(0.5 * (t[1:] + t[:-1])[seen])
 
 
 def test_noise_of_the_speed_is_not_followed():

@@ -8,7 +8,7 @@ import pytest
 
 from lpvmpc.errors import OptionError, UnknownNameError
 from lpvmpc.identify import signals
-from lpvmpc.identify.candidate import Candidate, check_names
+from lpvmpc.identify.candidate import FACTORS, Candidate, check_names
 from lpvmpc.identify.conduct import conduct
 from lpvmpc.identify.fit import fit, visible
 from lpvmpc.identify.follow import Steering, replay
@@ -19,6 +19,7 @@ from lpvmpc.interface import Command
 from lpvmpc.kit import cli
 from lpvmpc.plant.mjcf import compile_model, parameters
 from lpvmpc.plant.plant import Plant
+from lpvmpc.plant.vehicle_xml import numbers_of
 
 
 def drive(model=None, seconds=12.0, ay=3.5, vx=15.0):
@@ -92,13 +93,15 @@ def test_many_cars_at_once_move_as_each_alone(own, packaged):
 
 def test_a_candidate_is_the_car_it_says(packaged):
     values = {"m": 1700.0, "lf": 1.3, "lr": 1.35, "Iz": 2600.0, "h": 0.6, "Cf": 1e5, "Cr": 1.5e5,
-              "relaxation": 0.7}
+              "relaxation": 0.7, "damping": 2.0}
     p = parameters(packaged.with_values(values).model())
     base = parameters(packaged.model())
     for name, value in values.items():
-        if name != "relaxation":
+        if name not in FACTORS:
             assert getattr(p, name) == pytest.approx(value, rel=1e-6)
     assert p.sigma_f == pytest.approx(0.7 * base.sigma_f, rel=1e-6)
+    one, two = (numbers_of(c.model()) for c in (packaged, packaged.with_values({"damping": 2.0})))
+    assert (two.damper_f, two.damper_r) == pytest.approx((2 * one.damper_f, 2 * one.damper_r))
 
 
 def test_hidden_stiffness_and_geometry_come_back(packaged):

@@ -54,6 +54,8 @@ PARAMETERS: dict[str, Parameter] = {
         about="cornering stiffness of the rear axle", unit="N/rad", low=0.2, high=5.0, spread=0.6),
     "relaxation": Parameter(
         about="factor on the lateral relaxation lengths", unit="-", low=0.15, high=5.0, spread=0.6),
+    "damping": Parameter(
+        about="factor on the dampers, which roll feels", unit="-", low=0.2, high=6.0, spread=1.0),
     "steer_lag": Parameter(
         about="time constant of the steering after the recorded angle", unit="s", low=0.0, high=0.3,
         spread=2.0, scale=0.03, added=True, steering=True),
@@ -68,6 +70,8 @@ PARAMETERS: dict[str, Parameter] = {
         spread=2.0, scale=0.03, added=True, steering=True),
 }
 """What `--fit` knows."""
+FACTORS = ("relaxation", "damping")
+"""Those that multiply several numbers of a car."""
 IN_SINGLE_TRACK = {
     "linear": ("m", "lf", "lr", "Iz", "Cf", "Cr", "steer_lag", "steer_offset", "steer_ratio",
                "latency"),
@@ -105,6 +109,8 @@ class Candidate:
     """Between the recorded angle and the knuckle."""
     relaxation: float = 1.0
     """Factor on the relaxation lengths, whose numbers stay."""
+    damping: float = 1.0
+    """Factor on the dampers, whose numbers stay."""
 
     @classmethod
     def of(cls, model: mujoco.MjModel, steering: Steering | None = None) -> Candidate:
@@ -120,8 +126,8 @@ class Candidate:
 
     def value(self, name: str) -> float:
         """Value of a parameter."""
-        if name == "relaxation":
-            return self.relaxation
+        if name in FACTORS:
+            return float(getattr(self, name))
         if PARAMETERS[name].steering:
             return float(getattr(self.steering, name.removeprefix("steer_")))
         return float(getattr(self.numbers, name))
@@ -136,7 +142,7 @@ class Candidate:
             n.removeprefix("steer_"): v for n, v in values.items() if PARAMETERS[n].steering
         }
         car = {n: float(v) for n, v in values.items()
-               if not PARAMETERS[n].steering and n != "relaxation"}
+               if not PARAMETERS[n].steering and n not in FACTORS}
         if "m" in car:
             ratio = car["m"] / self.numbers.m
             car |= {"Ixx": self.numbers.Ixx * ratio, "Iyy": self.numbers.Iyy * ratio}
@@ -145,13 +151,17 @@ class Candidate:
         return replace(
             self, numbers=replace(self.numbers, **car), steering=replace(self.steering, **steering),
             relaxation=values.get("relaxation", self.relaxation),
+            damping=values.get("damping", self.damping),
         )
 
     def car(self) -> CarNumbers:
-        """Numbers of the car, the factor of relaxation in them."""
+        """Numbers of the car, the factors in them."""
         n = self.numbers
         assert n.sigma_f is not None and n.sigma_r is not None
-        return replace(n, sigma_f=n.sigma_f * self.relaxation, sigma_r=n.sigma_r * self.relaxation)
+        return replace(
+            n, sigma_f=n.sigma_f * self.relaxation, sigma_r=n.sigma_r * self.relaxation,
+            damper_f=n.damper_f * self.damping, damper_r=n.damper_r * self.damping,
+        )
 
     def xml(self, title: str = "A car", ay_limit: float | None = None) -> str:
         """Its MJCF."""

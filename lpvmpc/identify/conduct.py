@@ -81,6 +81,7 @@ class Replay:
 def conduct(
     start: Candidate, recording: Recording, names: Sequence[str] = (),
     fit_on: Sequence[Recording] = (), *, follow: str = "wheels", push: Push | None = None,
+    track_names: Sequence[str] | None = None, fits: Mapping[str, Fit] | None = None,
     progress: Callable[[str], None] = lambda what: None,
 ) -> Replay:
     """Replay a recording, perhaps after a fit.
@@ -92,6 +93,8 @@ def conduct(
         fit_on: Recordings to fit on (default: the one that is scored).
         follow: What follows the speed; see `follow.FOLLOW`.
         push: Side force and yaw moment that act besides while the recording is scored.
+        track_names: Parameters that the single tracks identify instead, of those they have.
+        fits: Fits of an earlier call with the same names and `fit_on`, taken instead of new ones.
         progress: Called with what begins.
 
     Raises:
@@ -103,17 +106,18 @@ def conduct(
     segments = recording.segments()
     predictors: dict[str, Predictor] = {PLANT: plant(follow, push)}
     predictors |= {kind: track(kind) for kind in KINDS}
-    fits: dict[str, Fit] = {}
+    made: dict[str, Fit] = dict(fits or {})
     candidates = dict.fromkeys(MODELS, start)
     basis = list(fit_on) or [recording]
     if names:
         for model in MODELS:
-            own = [n for n in names if model == PLANT or n in IN_SINGLE_TRACK[model]]
-            if own:
+            wanted = names if model == PLANT or track_names is None else track_names
+            own = [n for n in wanted if model == PLANT or n in IN_SINGLE_TRACK[model]]
+            if own and model not in made:
                 progress(f"fitting the {TITLES[model]}")
                 predict = plant(follow) if model == PLANT else predictors[model]
-                fits[model] = fit(start, own, basis, predict)
-                candidates[model] = fits[model].candidate
+                made[model] = fit(start, own, basis, predict)
+    candidates |= {model: one.candidate for model, one in made.items()}
     progress("replaying")
     simulated = {
         model: [predictors[model]([candidates[model]], one)[0] for one in segments]
@@ -121,7 +125,7 @@ def conduct(
     }
     return Replay(
         recording=recording, segments=segments, names=tuple(names),
-        fitted_on=tuple(one.name for one in basis) if names else (), fits=fits,
+        fitted_on=tuple(one.name for one in basis) if names else (), fits=made,
         candidates=candidates, simulated=simulated,
         scores={model: scores(segments, simulated[model]) for model in MODELS},
         energies={model: error_energy(segments, simulated[model]) for model in MODELS},

@@ -21,10 +21,11 @@ CARSIM = Path(str(resources.files("lpvmpc.identify") / "data" / "carsim_run1.csv
 """The recording that ships."""
 CARSIM_ROWS = (300, 900)
 """Samples on which it is fitted."""
-CARSIM_NAMES = ("Cf", "lr", "latency", "relaxation")
-"""What is fitted there, the best of some fifteen sets tried on this file: at 10 to 16 m/s yaw rate
-shows the understeer gradient (Cf), vy the lever of the rear axle (lr), and both when they begin
-(latency) and how they build up (relaxation)."""
+CARSIM_NAMES = ("Iz", "damping", "h", "lr")
+"""What is fitted there: yaw rate shows the inertia, vy the lever of the rear axle, and both show
+roll (height of the centre of mass, dampers), which sways the tires."""
+CARSIM_TRACK_NAMES = ("Cf", "Cr", "Iz", "latency")
+"""What the single tracks are fitted with there: the linear one's best of seven sets of four."""
 MULTIBODY_NAMES = ("lf", "lr", "Cf", "Cr", "Iz", "mu_f", "mu_r", "relaxation")
 """What is fitted to CommonRoad's car."""
 GENTLE, HARD = 0.03, 0.065
@@ -49,8 +50,9 @@ What this shows, and what not. `carsim_run1.csv` is another simulator's car, dri
 m/s2): it says nothing of the limit. Its steering is a command held for 0.1 s; what the wheel did is
 not recorded. CommonRoad's car is other people's equations and another tire, driven to its limit,
 but without relaxation and load dependence. Neither is a measurement of a real car. The four
-parameters of the first fit, the way a segment begins and that commands are held were chosen among
-some fifteen tries on this file, with its whole-run scores in sight: "whole" is not held out. A fit
+parameters of the first fit, the way a segment begins and that commands are held for 0.1 s were
+chosen among some thirty tries on this file, the whole-run scores of the first fifteen in sight:
+"whole" is not held out. The single tracks were given the best of seven sets of four. A fit
 of yaw rate and vy cannot tell mass, inertia and stiffness apart (only their ratios); the numbers of
 such a car are those that make it move alike.
 """
@@ -63,13 +65,17 @@ def replays(progress: Callable[[str], None]) -> dict[str, Replay]:
     rows = carsim.rows(*CARSIM_ROWS)
     progress("carsim_run1.csv")
     found = {"unfitted": conduct(base, carsim)}
-    found["carsim rows"] = conduct(base, rows, CARSIM_NAMES, [rows])
-    found["carsim"] = conduct(base, carsim, CARSIM_NAMES, [rows])
+    found["carsim rows"] = conduct(base, rows, CARSIM_NAMES, [rows], track_names=CARSIM_TRACK_NAMES)
+    found["carsim"] = conduct(
+        base, carsim, CARSIM_NAMES, [rows], fits=found["carsim rows"].fits
+    )
     progress("CommonRoad multibody")
     fit_on = [record(GENTLE, seconds=15.0), record(HARD, seconds=15.0)]
+    fits = None
     for name, top in (("multibody gentle", GENTLE), ("multibody hard", HARD)):
         other = record(top, seconds=15.0, phase=2.0)
-        found[name] = conduct(base, other, MULTIBODY_NAMES, fit_on)
+        found[name] = conduct(base, other, MULTIBODY_NAMES, fit_on, fits=fits)
+        fits = found[name].fits
     return found
 
 

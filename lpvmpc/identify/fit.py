@@ -43,8 +43,8 @@ MOVED = 0.1
 CERTAIN = 1.96
 """Standard deviations of a 95 % interval."""
 WIDE = 0.3
-"""A 95 % interval whose half width is above this, of the parameter's scale, says little: the
-parameter is not identifiable from these data."""
+"""A 95 % interval whose half width is above this, of the parameter's scale or its value if that is
+larger, says little: the parameter is not identifiable from these data."""
 ALIKE = 0.98
 """Two parameters correlated beyond this cannot be told apart."""
 INFLATED = 400.0
@@ -151,7 +151,7 @@ def fit(
     at_bound = (x < best.low + near) | (x > best.high - near)
     power = float(best.errors @ best.errors)
     unseen = (best.jacobian**2).sum(axis=0) < 1e-8 * power
-    wide = unseen | (CERTAIN * deviation > WIDE)
+    wide = unseen | (CERTAIN * deviation > WIDE * np.maximum(np.abs(x), 1.0))
     parameters = tuple(
         Fitted(
             name=name, value=float(x[i] * scale[i]), start=start.value(name),

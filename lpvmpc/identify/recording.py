@@ -112,13 +112,14 @@ class Recording:
     def steering(self, times: Array, servo: float = 0.0) -> Array:
         """Steering angle at equally spaced times [rad].
 
-        Between samples as `signals.between` says, or, where `held`, that of the sample before, as
-        its mean over the step that ends at each time.
+        Between samples as `signals.between` says. Where `held`, it changes as `signals.changes`
+        says, and its mean over the step that ends at each time is given.
         """
         if not self.held or len(times) < 2:
             return signals.between(self.t, self._angle, times, servo)
         dt = times[1] - times[0]
-        ends = np.append(self.t, self.t[-1] + self.step)
+        middle, half = signals.changes(self.t, self.delta), 0.5 * self.step
+        ends = np.concatenate([[self.t[0] - half], middle, [self.t[-1] + half]])
         total = np.concatenate([[0.0], np.cumsum(self.delta * np.diff(ends))])
 
         def until(time: Array) -> Array:

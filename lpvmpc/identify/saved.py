@@ -32,7 +32,7 @@ def save(folder: Path, replay: Replay) -> Car:
     fit = replay.fits[PLANT]
     candidate = fit.candidate
     n = candidate.car()
-    written = replace(candidate, numbers=n, relaxation=1.0)
+    written = replace(candidate, numbers=n, relaxation=1.0, damping=1.0)
     title = f"Identified from {', '.join(replay.fitted_on)}"
     record: dict[str, Any] = {
         "identified": fit.as_json(), "fit_on": list(replay.fitted_on),

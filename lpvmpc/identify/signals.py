@@ -11,6 +11,8 @@ from lpvmpc.units import Array
 
 ORDER = 6
 """Differences of this order see the noise of a signal, and hardly the signal."""
+FEW = 10
+"""Changes of a held signal from which on a period is looked for."""
 
 
 def noise(values: Array) -> float:
@@ -50,3 +52,32 @@ def between(t: Array, values: Array, times: Array, servo: float = 0.0) -> Array:
     share = np.clip((times - t[k]) / long, 0.0, 1.0)
     share = np.expm1(-share * long / servo) / np.expm1(-long / servo)
     return values[k] + share * (values[k + 1] - values[k])
+
+
+def changes(t: Array, values: Array) -> Array:
+    """When a held signal has changed, as far as its samples tell, before each sample [s].
+
+    A change that a sample shows first happened between it and the one before. Where one regular
+    period puts every change there, as that of a controller that is sampled at another rate, its
+    times are taken; otherwise the middle.
+
+    Args:
+        t: Times of the samples [s], ascending, shape (n,).
+        values: The samples, shape (n,).
+
+    Returns:
+        Times between each sample and the one before, shape (n - 1,).
+    """
+    found = 0.5 * (t[1:] + t[:-1])
+    seen = np.flatnonzero(np.diff(values) != 0.0)
+    if len(seen) < FEW:
+        return found
+    late, usual = found[seen], float(np.median(np.diff(t[seen + 1])))
+    gaps = np.diff(late)
+    period = float(gaps[gaps < 1.5 * usual].mean())
+    number = np.concatenate([[0.0], np.cumsum(np.round(gaps / period))])
+    slope, first = np.polyfit(number, late, 1)
+    regular = first + slope * number
+    if (np.abs(regular - late) <= 0.6 * np.diff(t)[seen]).all():
+        found[seen] = np.clip(regular, t[seen], t[seen + 1])
+    return found

@@ -20,8 +20,8 @@ from lpvmpc.units import GRAVITY, Array
 
 KINDS = ("linear", "nonlinear")
 """Their names."""
-STEP = 0.005
-"""Longest step of integration [s], Runge-Kutta of fourth order."""
+STEP = 0.001
+"""Step of integration [s], Runge-Kutta of fourth order; the wheel's angle moves as the plant's."""
 
 
 class SingleTrack(NamedTuple):
@@ -66,7 +66,7 @@ def _drive(t, delta, vx, vy0, r0, free, p, linear, out):
     """Integrate over the times t with delta, vx at them, linear between; out gets vy, r, ay."""
     vy, r = vy0, r0
     if free:  # vy was not measured: the one at which the axles carry r vx at this yaw rate
-        for _ in range(400):
+        for _ in range(2000):
             d, _ = _rates(vy, r, delta[0], vx[0], p, linear)
             vy += STEP * d
     for k in range(len(t)):
@@ -74,22 +74,14 @@ def _drive(t, delta, vx, vy0, r0, free, p, linear, out):
         out[k, 0], out[k, 1], out[k, 2] = vy, r, d + r * vx[k]
         if k + 1 == len(t):
             break
-        n = math.ceil((t[k + 1] - t[k]) / STEP)
-        h = (t[k + 1] - t[k]) / n
-        for i in range(n):
-            s0, s1, s2 = i / n, (i + 0.5) / n, (i + 1) / n
-            d0 = delta[k] + s0 * (delta[k + 1] - delta[k])
-            d1 = delta[k] + s1 * (delta[k + 1] - delta[k])
-            d2 = delta[k] + s2 * (delta[k + 1] - delta[k])
-            v0 = vx[k] + s0 * (vx[k + 1] - vx[k])
-            v1 = vx[k] + s1 * (vx[k + 1] - vx[k])
-            v2 = vx[k] + s2 * (vx[k + 1] - vx[k])
-            a0, b0 = _rates(vy, r, d0, v0, p, linear)
-            a1, b1 = _rates(vy + 0.5 * h * a0, r + 0.5 * h * b0, d1, v1, p, linear)
-            a2, b2 = _rates(vy + 0.5 * h * a1, r + 0.5 * h * b1, d1, v1, p, linear)
-            a3, b3 = _rates(vy + h * a2, r + h * b2, d2, v2, p, linear)
-            vy += h / 6.0 * (a0 + 2.0 * a1 + 2.0 * a2 + a3)
-            r += h / 6.0 * (b0 + 2.0 * b1 + 2.0 * b2 + b3)
+        h = t[k + 1] - t[k]
+        d1, v1 = 0.5 * (delta[k] + delta[k + 1]), 0.5 * (vx[k] + vx[k + 1])
+        a0, b0 = _rates(vy, r, delta[k], vx[k], p, linear)
+        a1, b1 = _rates(vy + 0.5 * h * a0, r + 0.5 * h * b0, d1, v1, p, linear)
+        a2, b2 = _rates(vy + 0.5 * h * a1, r + 0.5 * h * b1, d1, v1, p, linear)
+        a3, b3 = _rates(vy + h * a2, r + h * b2, delta[k + 1], vx[k + 1], p, linear)
+        vy += h / 6.0 * (a0 + 2.0 * a1 + 2.0 * a2 + a3)
+        r += h / 6.0 * (b0 + 2.0 * b1 + 2.0 * b2 + b3)
 
 
 def drive(
@@ -106,28 +98,22 @@ def drive(
     Returns:
         vy [m/s], r [rad/s], ay [m/s2] and x, y [m], psi [rad] from the start, shapes (n,).
     """
-    fine = np.arange(recording.t[0], recording.t[-1] + 1e-3, 1e-3)
-    # the wheel between samples is that of the plant: each sample's time is cut into short parts
-    parts = max(1, math.ceil(recording.step / STEP - 1e-9))
-    n = len(recording.t)
-    times = np.interp(np.arange((n - 1) * parts + 1) / parts, np.arange(n), recording.t)
-    delta = np.interp(times, fine, steering.angle(recording, fine))
-    vx = recording.speed(times)[0]
+    fine = np.arange(recording.t[0], recording.t[-1] + STEP, STEP)
+    vx = recording.speed(fine)[0]
     free = recording.vy is None
     vy0 = 0.0 if recording.vy is None else recording.first(recording.vy)
-    out = np.empty((len(times), 3))
+    out = np.empty((len(fine), 3))
     _drive(
-        times, delta, vx, vy0, recording.first(recording.r), free, tuple(p),
-        kind == "linear", out,
+        fine, steering.angle(recording, fine), vx, vy0, recording.first(recording.r), free,
+        tuple(p), kind == "linear", out,
     )
-    vy, r, ay = out[::parts].T
-    vx = vx[::parts]
-    dt = np.diff(recording.t)
+    vy, r, ay = out.T
 
-    def integral(values: Array) -> Array:
-        return np.concatenate([[0.0], np.cumsum(0.5 * dt * (values[1:] + values[:-1]))])
+    def integral(rate: Array) -> Array:
+        return np.concatenate([[0.0], np.cumsum(0.5 * STEP * (rate[1:] + rate[:-1]))])
 
     psi = integral(r)
     x = integral(vx * np.cos(psi) - vy * np.sin(psi))
     y = integral(vx * np.sin(psi) + vy * np.cos(psi))
-    return {"vy": vy, "r": r, "ay": ay, "x": x, "y": y, "psi": psi}
+    found = {"vy": vy, "r": r, "ay": ay, "x": x, "y": y, "psi": psi}
+    return {name: np.interp(recording.t, fine, values) for name, values in found.items()}

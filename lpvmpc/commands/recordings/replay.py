@@ -39,8 +39,8 @@ class Options:
     """Samples to fit on, END not included, of the recording or of each of --fit-on (default: all).
     The whole recording is scored."""
     fit: Annotated[tuple[str, ...], cli.Option(metavar="NAME", help=(
-        "Parameters to identify: m, lf, lr, Iz, h, mu_f, mu_r, Cf, Cr, relaxation, steer_lag, "
-        "steer_offset, steer_ratio, latency."
+        "Parameters to identify: m, lf, lr, Iz, h, mu_f, mu_r, Cf, Cr, relaxation, damping, "
+        "steer_lag, steer_offset, steer_ratio, latency."
     ))] = ()
     fit_on: tuple[Path, ...] = ()
     """Recordings to fit on (default: the one that is scored)."""
