@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from lpvmpc.commands.parts.pages import REPORT, film_of, write_page
 from lpvmpc.commands.parts.the_car import CarPlace, TireFile, with_car
 from lpvmpc.commands.parts.track_table import print_table
+from lpvmpc.commands.parts.traffic import TrafficName, told_of, traffic_options, with_traffic
 from lpvmpc.commands.parts.windows import check_display
 from lpvmpc.control.registry import CONTROLLERS, STIFFNESS_MODELS
 from lpvmpc.errors import LPVMPCError, OptionError, RenderError
@@ -124,6 +125,9 @@ class Options:
     isolate: bool = False
     """Let the controller live in a process of its own: what it does there reaches neither plant nor
     record, hangs in compiled code end in time, and its memory is limited (1.5 GiB)."""
+    traffic: TrafficName = None
+    detour: bool = False
+    """Plan the reference round the traffic."""
     car: CarPlace = None
     tire: TireFile = None
     json: Path | None = None
@@ -138,8 +142,10 @@ def main(options: Options) -> int:
     from lpvmpc import Isolated, Plant, load_controller, load_scenario, simulate
     from lpvmpc.sim.ending import check_start
     from lpvmpc.sim.metrics import metrics
+    from lpvmpc.traffic.watch import encounters
 
     scenario = load_scenario(options.scenario, **scenario_options(options))
+    traffic, scenario = with_traffic(options.traffic, options.detour, scenario)
     offset = options.start_offset or (0.0, 0.0)
     check_start(scenario, options.laps, offset)
     own = ":" in options.controller
@@ -179,16 +185,21 @@ def main(options: Options) -> int:
             step_timeout=options.step_timeout or limit,
             progress=watch,
             name=options.controller,
-            options=scenario_options(options),
+            options={**scenario_options(options),
+                     **traffic_options(options.traffic, options.detour)},
+            traffic=traffic,
         )
     if len(log) == 0 and log.meta["reason"] == "interrupted":
         raise KeyboardInterrupt  # before the first instant: nothing to save
     result = metrics(log)
-    content = {**result, "record": record_of(options, log)}
+    met = [asdict(one) for one in encounters(log)]
+    content = {**result, **({"traffic": met} if met else {}), "record": record_of(options, log)}
     interrupted = not save(options, log, content, out)
     if scenario.path.largest_shift > 0.0:
         print(f"Road: {scenario.source}")
     print_table(result, log)
+    for one in met:
+        print(told_of(one))
     print(f"Saved {out}/ (metrics.json, trace.parquet, timing.parquet, figures/)")
     if video is not None and len(log) > 1 and not interrupted:
         interrupted = not film(log, video)
@@ -209,6 +220,8 @@ def check(options: Options) -> None:
         raise OptionError("--latency", options.latency, "a whole number of milliseconds")
     cli.check_number("--step-timeout", options.step_timeout, 0.001, 86400.0, "s")
     cli.check_choice("--stiffness", options.stiffness, STIFFNESS_MODELS)
+    if options.detour and options.traffic is None:
+        raise OptionError("--detour", "given", "left out without --traffic")
     if options.closed and options.no_closed:
         raise LPVMPCError("--closed and --no-closed exclude each other; give only one.")
     cli.check_choice("--export", options.export, FORMATS)

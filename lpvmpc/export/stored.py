@@ -17,9 +17,13 @@ import numpy.typing as npt
 
 from lpvmpc.errors import DataError, LPVMPCError
 from lpvmpc.kit.files import read_json
+from lpvmpc.plant.mjcf import packaged_car
 from lpvmpc.road.scenario import Scenario
 from lpvmpc.sim.log import MOTION, Log
 from lpvmpc.sim.names import load_scenario
+from lpvmpc.traffic.detour import detour
+from lpvmpc.traffic.users import Traffic, load_traffic
+from lpvmpc.traffic.watch import users_of
 
 ROAD = ("v_max", "ay_max", "grip", "closed", "smoothing", "wind_scale", "friction")
 """Options of a run that make its scenario."""
@@ -65,7 +69,11 @@ def read_run(folder: str | os.PathLike[str]) -> tuple[Log, dict[str, Any]]:
                         f"lack {error}.") from error
     if record.get("footprint_m"):
         meta["footprint_m"] = record["footprint_m"]
-    return Log(columns, timing, meta, _road(name, options, columns), weights), result
+    scenario, traffic = _road(name, options, columns)
+    log = Log(columns, timing, meta, scenario, weights)
+    if traffic is not None:
+        log.meta["traffic"], log.road = users_of(traffic), traffic.path
+    return log, result
 
 
 def _table(file: Path) -> tuple[dict[str, npt.NDArray[Any]], dict[str, Any]]:
@@ -87,15 +95,21 @@ def _table(file: Path) -> tuple[dict[str, npt.NDArray[Any]], dict[str, Any]]:
     return {name: table[name].to_numpy() for name in table.column_names}, facts
 
 
-def _road(name: str, options: Mapping[str, Any], columns: Mapping[str, Any]) -> Scenario:
-    """The scenario that was driven.
+def _road(
+    name: str, options: Mapping[str, Any], columns: Mapping[str, Any]
+) -> tuple[Scenario, Traffic | None]:
+    """The scenario that was driven, and its traffic.
 
     Raises:
         DataError: It is not there any more, or has changed since.
     """
     given = {key: options[key] for key in ROAD if options.get(key) is not None}
     try:
-        scenario = load_scenario(name, **given)
+        scenario, traffic = load_scenario(name, **given), None
+        if options.get("traffic") is not None:
+            traffic = load_traffic(str(options["traffic"]), scenario)
+            if options.get("detour"):
+                scenario = detour(scenario, traffic, packaged_car())
     except LPVMPCError as error:
         raise DataError(f"The road of this run cannot be made again. {error}") from error
     x, y = scenario.path.at(columns["s_m"])[:2]
@@ -103,4 +117,4 @@ def _road(name: str, options: Mapping[str, Any], columns: Mapping[str, Any]) -> 
     if not np.nanmax(apart, initial=0.0) < APART:
         raise DataError(f"The road {name!r} is another one than the run's: it lies up to "
                         f"{np.nanmax(apart):.3g} m apart.")
-    return scenario
+    return scenario, traffic

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from lpvmpc.units import Array
 
 if TYPE_CHECKING:
     from lpvmpc.interface import Preview
+    from lpvmpc.road.path import Path
     from lpvmpc.road.scenario import Scenario
 
 
@@ -68,6 +69,8 @@ class Log:
     """What was driven: path, speed, wind and friction, for figures and video."""
     weights: dict[str, Any] = field(default_factory=dict)
     """The controller's weights, where it tells them."""
+    road: Path | None = None
+    """The road itself, where the reference leaves it to go round traffic; for pictures."""
 
     def __len__(self) -> int:
         return len(self.columns["t_s"])
@@ -82,8 +85,9 @@ class Log:
         """
         facts = ("scenario", "controller", "stiffness", "seed", "options", "versions", "Ts")
         kept = {k: self.meta[k] for k in (*facts, "model_sha256") if k in self.meta}
-        write_table(Path(folder) / "trace.parquet", self.columns, {**kept, "fallback": FALLBACKS})
-        write_table(Path(folder) / "timing.parquet", self.timing, kept)
+        told = {**kept, "fallback": FALLBACKS}
+        write_table(FilePath(folder) / "trace.parquet", self.columns, told)
+        write_table(FilePath(folder) / "timing.parquet", self.timing, kept)
 
 
 class Recorder:

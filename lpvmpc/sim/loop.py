@@ -35,10 +35,12 @@ from lpvmpc.sim.names import load_estimator
 from lpvmpc.sim.perception import Perception
 from lpvmpc.sim.process.isolated import Isolated
 from lpvmpc.sim.world import Draw, World, children, load_world
+from lpvmpc.traffic.watch import Watch, users_of
 
 if TYPE_CHECKING:
     from lpvmpc.interface import Preview
     from lpvmpc.road.scenario import Scenario
+    from lpvmpc.traffic.users import Traffic
 
 MAX_DELAY = 30
 """Longest delay of the commands [control periods], one second."""
@@ -63,6 +65,7 @@ def simulate(
     progress: Progress | None = None,
     name: str | None = None,
     options: dict[str, Any] | None = None,
+    traffic: Traffic | None = None,
 ) -> Log:
     """Drive a scenario from its start to its end, or until the car is lost.
 
@@ -96,6 +99,7 @@ def simulate(
         progress: Called at every control instant with the driven fraction of the path.
         name: Name of the controller in results (default: its attribute `name`, else its class).
         options: Further options to record in the trace.
+        traffic: Other road users, of whom the controller is told nothing; a contact ends the run.
 
     Returns:
         The Log; `meta` says whether the run completed, and why not.
@@ -134,6 +138,8 @@ def simulate(
             meant = replace(draw, latency=plant.latency, deviations=plant.deviations)
             scenario = replace(scenario, wind=draw.wind(scenario.wind))
             loop = _Loop(plant, driver, scenario, delay, laps, start_offset, draw.surface)
+            if traffic is not None:
+                loop.traffic = Watch(traffic, plant.params, loop.rows)
             if not draw.sensing.exact or estimator != "none":
                 sensors = Sensors(draw.sensing, Ts, senses)
                 servo = plant.deviations if draw.steering_sensor == "servo" else None
@@ -160,6 +166,9 @@ def simulate(
     log = loop.recorder.log(meta, scenario, about.weights)
     if loop.perception is not None:
         log.columns.update(loop.perception.columns(len(log)))
+    if traffic is not None and loop.traffic is not None:
+        log.columns.update(loop.traffic.columns(len(log)))
+        log.meta["traffic"], log.road = users_of(traffic), traffic.path
     return log
 
 
@@ -218,6 +227,7 @@ class _Loop:
         self.recorder = Recorder(self.rows, driver.about.Np, len(plant.qpos), delay)
         self.ground = Ground(plant, scenario, surface)
         self.perception: Perception | None = None
+        self.traffic: Watch | None = None
         self.has_qp = False
         self.s_end = self.duration = 0.0
         self.lap_ends: list[float] = []  # when the start line was crossed [s]
@@ -252,6 +262,9 @@ class _Loop:
             standing = state.vx < STUCK_SPEED < preview.vx_ref[0]
             stuck = stuck + 1 if standing else 0
             reason = why_lost(plant, path, preview, t, stuck * Ts, self.time_limit)
+            if self.traffic is not None:
+                touched = self.traffic.look(self.recorder.n, t, state.x, state.y, state.psi)
+                reason = reason or (f"contact with {touched}" if touched else "")
             if reason:  # this instant counts, with the command that led to it
                 self._record(t, state, preview, preview, held, None)
                 return reason

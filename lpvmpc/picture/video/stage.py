@@ -31,6 +31,9 @@ ARROW = 0.6e-3
 LADDER = 0.98
 """Half width of the ladder that shows the prediction [m]; just wider than the car."""
 ORANGE, AIR = (0.90, 0.50, 0.05), (0.42, 0.66, 0.84)
+USER, GLASS = (0.78, 0.76, 0.72, 1.0), (0.16, 0.18, 0.21, 1.0)
+RUBBER, LIGHT = (0.06, 0.06, 0.06, 1.0), (0.75, 0.06, 0.05, 1.0)
+"""Colours of another road user."""
 
 
 class Chase:
@@ -87,8 +90,9 @@ class Stage:
         self.context.make_current()
         try:
             scenario = log.scenario
-            self.scenery: Scenery = build(scenario.path, width=width, height=height,
+            self.scenery: Scenery = build(log.road or scenario.path, width=width, height=height,
                                           cones=scenario.cones)
+            self.users = log.meta.get("traffic", [])
             model = self.model = self.scenery.model
             self.data = mujoco.MjData(model)
             self.scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 200)
@@ -121,6 +125,8 @@ class Stage:
                                mujoco.mjtCatBit.mjCAT_ALL, self.scene)
         self._horizon(now["horizon"])
         self._wind(now)
+        for i, user in enumerate(self.users):
+            self._user(user, *(now[f"user{i}_{name}"] for name in ("x_m", "y_m", "psi_rad")))
         mujoco.mjr_render(self.rect, self.scene, self.gl)
         mujoco.mjr_readPixels(self.pixels, None, self.rect, self.gl)
         frame = np.ascontiguousarray(self.pixels[::-1])  # OpenGL's first row is the lowest
@@ -167,6 +173,24 @@ class Stage:
                           (*(0.5 * (a + b) + side * left), 0.02), (*ORANGE, 1.0), frame)
             self._add(mujoco.mjtGeom.mjGEOM_BOX, (0.03, LADDER, 0.003), (*b, 0.02),
                       (*ORANGE, 1.0), frame)
+
+    def _user(self, user: dict[str, Any], x: float, y: float, psi: float) -> None:
+        """Another road user: a plain body with a cabin, wheels and tail lights."""
+        half, wide, high = (0.5 * user[name] for name in ("length_m", "width_m", "height_m"))
+        c, s = math.cos(psi), math.sin(psi)
+        frame = np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))
+
+        def box(ahead: float, left: float, up: float, size: Any, colour: Any) -> None:
+            self._add(mujoco.mjtGeom.mjGEOM_BOX, size,
+                      (x + c * ahead - s * left, y + s * ahead + c * left, up), colour, frame)
+
+        box(0.0, 0.0, 0.65 * high, (half, wide, 0.45 * high), USER)
+        box(-0.1 * half, 0.0, 1.5 * high, (0.6 * half, 0.9 * wide, 0.45 * high), GLASS)
+        for ahead in (-0.62 * half, 0.62 * half):
+            for left in (-wide, wide):
+                box(ahead, 0.93 * left, 0.28, (0.3, 0.1, 0.28), RUBBER)
+        for left in (-0.75 * wide, 0.75 * wide):
+            box(-half, left, 0.8 * high, (0.03, 0.18 * wide, 0.1 * high), LIGHT)
 
     def _forces(self, frame: Image, now: dict[str, Any]) -> None:
         """Tire force at each contact patch, in the plane of the road, seen through the body.
