@@ -101,8 +101,8 @@ def shortcomings():
     found = json.loads((ROOT / "docs" / "results" / "worlds.json").read_text())
     missed = [bar for bar in found["bars"].values() if not bar["ok"]]
     assert [bar["text"] for bar in missed] == ["rtk, paper: median RMSE"]
-    yield f"One of its {len(found['bars'])} promises is missed: `rtk` on `paper` has "
-    yield f"has {missed[0]['value']:.2f} mm, not {missed[0]['limit']:g}"
+    yield (f"One of its {len(found['bars'])} promises is missed: `rtk` on `paper` has "
+           f"{missed[0]['value']:.2f} mm, not {missed[0]['limit']:g}")
     bears, = (line for line in found["sentences"] if "rival bears more" in line)
     assert bears.count(" of noise of ") == 3 == bears.count("(to ")
     held = {(m["kind"], m["controller"]): m["held"] for m in found["margins"]}
