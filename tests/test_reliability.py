@@ -6,7 +6,9 @@ import pytest
 from lpvmpc.commands.reliability import PARTS, Options, main
 from lpvmpc.kit import cli
 from lpvmpc.reliability import damage, loops, report
+from lpvmpc.reliability.causes import causes
 from lpvmpc.reliability.damage import Subject
+from lpvmpc.sim.world import children, load_world
 
 
 @pytest.mark.parametrize("subject", damage.subjects(), ids=lambda s: s.name)
@@ -52,7 +54,7 @@ def result(**more):
     whole = {
         "completed": True, "reason": "", "s_end_m": 100.0, "step_time_us": {"max": 900.0},
         "lateral_rmse_m": 0.01, "wall_s": 1.0, "qp": {"solved": 9, "fallback": 1},
-        "left_road_s": 0.0, "lateral_acc_max_mps2": 4.0,
+        "left_road_s": 0.0, "lateral_acc_max_mps2": 4.0, "duration_s": 12.0,
     }
     return whole | more
 
@@ -72,6 +74,34 @@ def test_every_kind_of_failure_is_counted_and_named():
     assert "raised: ValueError" in section.faults[1] and "random-4" in section.faults[1]
     text = report.report([section], quick=True, jobs=1)
     assert "0 of 3 are met" in text and "random-3 in fleet" in text
+    assert "2 of 5 random runs did not complete (1 spun, 1 raised)" in text
+    assert "all together for 0.0 h" in text and driven.seconds == (12.0, 48.0)
+
+
+def test_a_lost_run_is_driven_again_with_one_hardship_less():
+    lost = [loops.random_run(i) for i in (3, 0)]  # in fleet and ideal
+    asked = []
+
+    def drive(runs):
+        asked.extend(runs)
+        return [{"completed": run.latency == 0.0 or "exact" in str(run.world)} for run in runs]
+
+    assert causes(lost, drive) == [
+        "completes without the latency, with exact sensors; not started on the line, with the "
+        "nominal car on a level road, with a tenth less grip asked for",
+        "completes without the latency; not started on the line, with a tenth less grip asked for",
+    ]
+    assert len(asked) == 8 and {run.seed for run in asked} == {3, 0}
+    for run in asked:  # nothing but the one is different, the world's other draws included
+        before = lost[0] if run.seed == 3 else lost[1]
+        assert run != before and run.scenario == before.scenario
+        draws = [load_world(one.world).sample(next(children(3))) for one in (before, run)]
+        assert draws[0].surface.friction == draws[1].surface.friction
+        if "nominal" not in str(run.world):
+            assert draws[0].deviations == draws[1].deviations
+    assert causes(lost, lambda runs: [{"completed": False}] * len(runs)) == [
+        "one hardship less does not help"] * 2
+    assert causes([], lambda runs: []) == []
 
 
 def test_the_command_writes_its_report(tmp_path, monkeypatch, capsys):

@@ -11,12 +11,13 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from lpvmpc.reliability.causes import causes
 from lpvmpc.sim.batch import Run
 from lpvmpc.sim.world import WORLDS, children, load_world
 
@@ -83,8 +84,10 @@ class Driven:
     """Completed runs that were off the road for a while."""
     rmse_mm: tuple[float, float]
     """Median and 95th percentile of the lateral RMSE of the completed ones [mm]."""
-    by_world: dict[str, tuple[int, int]]
-    """Completed runs and all, by world."""
+    by_world: dict[str, tuple[int, int, int, int]]
+    """By world, of whole roads and of short ones: all runs, and the completed ones."""
+    seconds: tuple[float, float]
+    """How long a run drives, by the car's clock: the median, and all together [s]."""
     lost: tuple[tuple[Run, str], ...]
     """The runs that did not complete, and why."""
 
@@ -94,6 +97,23 @@ class Driven:
         return Counter(reason.partition(":")[0] for _, reason in self.lost)
 
 
+def driven(
+    count: int, drive: Callable[[Sequence[Run]], list[dict[str, Any]]]
+) -> Driven:
+    """Drive so many random runs; find out why some did not complete.
+
+    Args:
+        count: Number of runs.
+        drive: Drives runs; the results in their order.
+    """
+    runs = [random_run(number) for number in range(count)]
+    found = summed(runs, drive(runs))
+    whys = causes([run for run, _ in found.lost], drive)
+    told = tuple((run, f"{reason}; {why}")
+                 for (run, reason), why in zip(found.lost, whys, strict=True))
+    return replace(found, lost=told)
+
+
 def summed(runs: Sequence[Run], results: Sequence[dict[str, Any]]) -> Driven:
     """What the results of `drive_all` come to."""
     pairs = list(zip(runs, results, strict=True))
@@ -101,7 +121,10 @@ def summed(runs: Sequence[Run], results: Sequence[dict[str, Any]]) -> Driven:
     done = [r for _, r in pairs if r["completed"]]
     steps = [r["step_time_us"]["max"] for _, r in pairs if r["step_time_us"]]
     errors = [1e3 * r["lateral_rmse_m"] for r in done]
-    worlds = {name: [r for run, r in pairs if run.world == name] for name in WORLDS}
+    times = [r["duration_s"] for _, r in pairs if r["duration_s"]]
+    worlds: dict[str, list[tuple[bool, bool]]] = {name: [] for name in WORLDS}
+    for run, r in pairs:
+        worlds[str(run.world)].append((run.seed >= WHOLE, bool(r["completed"])))
     return Driven(
         runs=len(pairs),
         completed=len(done),
@@ -114,8 +137,12 @@ def summed(runs: Sequence[Run], results: Sequence[dict[str, Any]]) -> Driven:
         left_road=sum(r["left_road_s"] > 0.0 for r in done),
         rmse_mm=(float(np.median(errors)), float(np.percentile(errors, 95))) if errors else
         (math.nan, math.nan),
-        by_world={name: (sum(r["completed"] for r in rs), len(rs))
-                  for name, rs in worlds.items() if rs},
+        by_world={
+            name: (sum(not short for short, _ in all_), all_.count((False, True)),
+                   sum(short for short, _ in all_), all_.count((True, True)))
+            for name, all_ in worlds.items() if all_
+        },
+        seconds=(float(np.median(times)) if times else math.nan, float(sum(times))),
         lost=tuple((run, _why(r)) for run, r in pairs if not r["completed"]),
     )
 

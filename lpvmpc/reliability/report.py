@@ -14,7 +14,7 @@ from lpvmpc.kit.report import at_a_time, csv_text, finite, record, versions_line
 from lpvmpc.reliability import misbehaving
 from lpvmpc.reliability.damage import FAULTS, WAYS, Damaged
 from lpvmpc.reliability.inputs import NO_COMMANDS, Answer
-from lpvmpc.reliability.loops import BESIDE, CONTROLLER, GRIP, LATENCY, Driven
+from lpvmpc.reliability.loops import BESIDE, CONTROLLER, GRIP, LATENCY, WHOLE, Driven
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,6 +37,8 @@ class Section:
     """Its promises."""
     faults: tuple[str, ...] = ()
     """Every single fault, and every run that did not complete, with its cause."""
+    not_held: str = ""
+    """What does not hold beside its promises, in a clause."""
 
 
 def section_of(told: Mapping[str, Any]) -> Section:
@@ -157,26 +159,37 @@ def controllers_section(found: misbehaving.Trials) -> Section:
 
 def loops_section(driven: Driven) -> Section:
     """Random closed loops."""
-    worlds = [(name, n, done, n - done) for name, (done, n) in driven.by_world.items()]
+    worlds = [(name, *counts, counts[0] + counts[2] - counts[1] - counts[3])
+              for name, counts in driven.by_world.items()]
+    lost = driven.runs - driven.completed
+    ends = ", ".join(f"{n} {what}" for what, n in driven.causes.most_common())
     return Section(
         key="loops",
         title="Random roads",
         tried=driven.runs,
         about=(
-            f"{driven.runs} runs of `{CONTROLLER}`, run i (also its seed) on road `random-i` with "
-            "at least one hairpin of 9.5 to 14 m, in all worlds in turn, planned for "
+            f"{driven.runs} runs of `{CONTROLLER}`, run i (also its seed) on a road with at least "
+            f"one hairpin of 9.5 to 14 m: whole roads, `random-i`, below {WHOLE}, then short ones, "
+            "`hairpin-i`, a hairpin and little else; a run drives for "
+            f"{driven.seconds[0]:.0f} s (median), all together for "
+            f"{driven.seconds[1] / 3600.0:.1f} h. In all worlds in turn, planned for "
             f"{100 * GRIP[0]:.0f} to {100 * GRIP[1]:.0f} % of the grip that road and tires have, "
             f"with an untold latency of 0 to {LATENCY} ms in place of the world's, started up to "
             f"{BESIDE:g} m beside the line (lpvmpc/reliability/loops.py). "
-            "`lpvmpc track --scenario random-i` drives such a road alone. Of the completed ones "
+            "`lpvmpc track --scenario random-i` drives such a road alone. Each run that did not "
+            "complete was driven again with one hardship less at a time, all else drawn alike, to "
+            "find its cause (lpvmpc/reliability/causes.py). Of the completed ones "
             f"{driven.left_road} left the road for a while; lateral RMSE, the start beside the "
             f"line included: median {driven.rmse_mm[0]:.0f} mm, 95th percentile "
             f"{driven.rmse_mm[1]:.0f} mm; {driven.fallbacks} control instants of all used the "
             f"fallback; the slowest step took {driven.slowest_step_us / 1000.0:.1f} ms of CPU, the "
             f"longest run {driven.longest_wall_s:.0f} s."
         ),
-        header=("world", "runs", "completed", "not completed"),
+        header=("world", "whole roads", "completed", "short ones", "of these completed",
+                "not completed"),
         rows=tuple(worlds),
+        not_held=(f"{lost} of {driven.runs} random runs did not complete ({ends}); each is below "
+                  "with what lets it complete" if lost else ""),
         findings=(
             _none("loops_exceptions", "random runs that raised", driven.exceptions,
                   "a run ends with a verdict"),
@@ -233,7 +246,8 @@ def report(sections: Sequence[Section], *, quick: bool, jobs: int) -> str:
         "# What happens when things go wrong", "",
         f"Written by `lpvmpc reliability{' --quick' if quick else ''}` on {machine()}, "
         f"{at_a_time(jobs)}. {versions_line()}", "",
-        promises_sentence(found), "",
+        " ".join([promises_sentence(found), *(f"{s.not_held}." for s in sections if s.not_held)]),
+        "",
         promises_table("Promises", found, "{:.0f}".format),
     ]
     for section in sections:
