@@ -172,3 +172,69 @@ def test_pictures_show_the_car():
 def test_wrong_settings_are_named(wrong):
     with pytest.raises(OptionError, match=next(iter(wrong))):
         TrackEnv(**wrong)
+
+
+def test_traffic_is_seen_and_a_contact_ends_the_episode(tmp_path):
+    from gymnasium.utils.env_checker import check_env
+
+    file = tmp_path / "town.toml"
+    file.write_text('[[user]]\nname = "far"\ns = 70\ney = -3.0\n'
+                    '[[user]]\nname = "near"\ns = 20\ney = 0.2\nspeed = 4\nlength = 4\nwidth = 2\n')
+    road = ("double-lane-change",)  # straight for its first 40 m
+    setting = {"roads": road, "traffic": file}
+    check_env(TrackEnv(**setting), skip_render_check=True)
+    env, plain = TrackEnv(**setting), TrackEnv(roads=road)
+    own = {"s": 2.0, "epsi": 0.0}
+    seen, _ = env.reset(seed=3, options=own)
+    # nothing else changes
+    assert np.array_equal(seen[:observation.SIZE], plain.reset(seed=3, options=own)[0])
+    assert plain.observation_space.shape == (observation.SIZE,)
+    car = env.cars.plant.params
+    gap, offset, room, closing = seen[observation.SIZE:]
+    ahead = 20.0 - 0.5 * (car.lf - car.lr) - 0.5 * (4.0 + car.length)
+    assert gap == pytest.approx(ahead, abs=0.1)  # the start is found again within the grid
+    assert offset == pytest.approx(0.2 - seen[0], abs=1e-5)
+    assert room == pytest.approx(abs(offset) - 0.5 * (2.0 + car.width), abs=1e-5)
+    assert closing == pytest.approx(seen[2] * np.cos(seen[1]) - 4.0, abs=0.1)
+    gaps = []
+    for _ in range(200):
+        seen, reward, lost, over, info = env.step(np.array([0.0, 0.2], dtype=np.float32))
+        assert env.observation_space.contains(seen)
+        gaps.append(info["gap"])
+        if lost or over:
+            break
+    assert lost and not over and reward == 0.0 and gaps[-1] == 0.0 < min(gaps[:-1])
+
+
+def test_each_of_many_cars_in_traffic_sees_what_one_alone_does():
+    setting = {"roads": ROADS, "traffic": "slow-car", "max_steps": 12}
+    many = TrackVecEnv(2, threads=1, **setting)
+    alone = [TrackEnv(**setting) for _ in range(2)]
+    seen, _ = many.reset(seed=5)
+    for i, env in enumerate(alone):
+        assert np.array_equal(env.reset(seed=5 + i)[0], seen[i])
+    for _ in range(11):
+        seen, _, lost, _, info = many.step(np.zeros((2, 2), dtype=np.float32))
+        for i, env in enumerate(alone):
+            own, _, terminated, _, told = env.step(np.zeros(2, dtype=np.float32))
+            assert np.array_equal(own, seen[i])
+            assert (terminated, told["gap"]) == (lost[i], info["gap"][i])
+    assert many.observation_space.contains(seen) and seen.shape == (2, observation.SIZE + 4)
+    assert demonstrate(3, **setting)["observations"].shape == (3, observation.SIZE + 4)
+    with pytest.raises(UnknownNameError, match="traffic 'tram'"):
+        TrackEnv(traffic="tram").reset(seed=0)
+    with pytest.raises(OptionError, match="traffic is 3"):
+        TrackEnv(traffic=3)
+
+
+@needs_opengl
+def test_pictures_show_the_traffic():
+    pictures = []
+    for traffic in (None, "slow-car"):
+        env = TrackEnv("rgb_array", roads=("double-lane-change",), traffic=traffic, width=160,
+                       height=90, random_start=False)
+        env.reset(seed=0)
+        pictures.append(env.render().astype(int))
+        env.close()
+    changed = np.abs(pictures[1] - pictures[0]).max(axis=2) > 30
+    assert 10 < changed.sum() < 2000  # a car some 30 m ahead, and nothing else

@@ -6,6 +6,7 @@ What the environments do lies here; `Track-v0` is this with one car, so both dri
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -14,10 +15,18 @@ import numpy as np
 import numpy.typing as npt
 from mujoco.batch import Batch, SimulationError
 
-from lpvmpc.control.rivals.observation import BOUNDS, SIZE, STEPS, action_of, command_of
+from lpvmpc.control.rivals.observation import (
+    BOUNDS,
+    SIZE,
+    STEPS,
+    TABLE,
+    action_of,
+    command_of,
+)
 from lpvmpc.errors import LPVMPCError, OptionError, UnknownNameError
 from lpvmpc.gym import seeing
 from lpvmpc.gym.one import One, Starts
+from lpvmpc.gym.others import ENTRIES, Others
 from lpvmpc.gym.roads import Roads
 from lpvmpc.interface import Command, Preview, State
 from lpvmpc.plant.plant import Plant
@@ -57,6 +66,9 @@ class Setting:
     to 100 % of its speed; else at its start, on it, at its speed."""
     max_steps: int = 1000
     """Control periods after which an episode is truncated."""
+    traffic: str | os.PathLike[str] | None = None
+    """Other road users, see `lpvmpc.traffic`, as far ahead of the car's start as of a road's; the
+    observation then ends with `others.ENTRIES`, and a contact ends the episode."""
 
     def __post_init__(self) -> None:
         """Check what is given."""
@@ -68,6 +80,8 @@ class Setting:
             raise OptionError("observe", self.observe, " or ".join(SEES))
         if type(self.max_steps) is not int or not 1 <= self.max_steps <= 1_000_000:
             raise OptionError("max_steps", self.max_steps, "a whole number from 1 to 1,000,000")
+        if not isinstance(self.traffic, str | os.PathLike | None):
+            raise OptionError("traffic", self.traffic, "a name, a TOML file, or None")
 
 
 class Cars:
@@ -103,6 +117,10 @@ class Cars:
         self._observation = np.zeros((n, SIZE), dtype=np.float32)
         self._truth = np.zeros((n, SIZE), dtype=np.float32)
         self._limits = np.array([EPSI_LOST, ROLL_LOST, STUCK_SPEED, STUCK_TIME])
+        self.entries, self.others = TABLE, None
+        if setting.traffic is not None:
+            self.entries = (*TABLE, *ENTRIES)
+            self.others = Others(setting.traffic, self.plant.params, n)
 
     def reset(
         self, which: Sequence[int], rngs: Sequence[np.random.Generator],
@@ -157,6 +175,8 @@ class Cars:
         self.ones[i] = one
         self.batch.state[i] = self.starts.state(vx, kappa, x, y, psi + epsi)
         one.begin()
+        if self.others is not None:
+            self.others.begin(i, scenario, s)
         held = Command(float(self.ctrl[i, 0]), float(self.ctrl[i, 1]))
         held = one.start(held)
         self.last[i] = action_of(held, self.delta_max)
@@ -215,6 +235,11 @@ class Cars:
             before, self.standing, self.steps, self.setting.max_steps, EY_LOST, VERGE,
             self.plant.Ts, self._limits, self.reward, self.lost, self.over,
         )
+        if self.others is not None:
+            touched = self.others.gap <= 0.0
+            self.lost |= touched
+            self.over &= ~touched
+            self.reward[touched] = 0.0
 
     def _physics(self, commands: Array, driven: npt.NDArray[np.int64] | None) -> None:
         """One control period, in pieces where commands arrive in the middle of it."""
@@ -257,6 +282,11 @@ class Cars:
             np.array([one is not None and one.senses for one in self.ones])[part][:, None],
             self.where_seen[part], where,
         )
+        if self.others is not None:
+            for i in range(self.n) if rows is None else rows:
+                if self.others.traffic[i] is not None:
+                    place = self.where[i, [seeing.S, seeing.EY, seeing.EPSI]].tolist()
+                    self.others.look(int(i), float(self.steps[i]) * Ts, self.states[i], *place)
         if self.setting.observe == "truth":
             return
         for i in range(self.n) if rows is None else rows:
@@ -273,8 +303,10 @@ class Cars:
                         self.where_seen[alone], self._observation[alone])
 
     def observations(self) -> npt.NDArray[np.float32]:
-        """What all cars see now, a copy, shape (N, SIZE)."""
-        return self._observation.copy()
+        """What all cars see now, a copy, shape (N, SIZE), or (N, len(entries)) in traffic."""
+        if self.others is None:
+            return self._observation.copy()
+        return np.hstack([self._observation, self.others.seen.astype(np.float32)])
 
     def state(self, i: int) -> State:
         """True state of car i."""
@@ -299,11 +331,19 @@ class Cars:
         """What the `info` of car i says: numbers of the truth, and what was drawn."""
         one = self.ones[i]
         assert one is not None
+        traffic = {} if self.others is None else {"gap": float(self.others.gap[i])}
         return {
             "s": float(self.where[i, seeing.S]), "ey": float(self.where[i, seeing.EY]),
             "epsi": float(self.where[i, seeing.EPSI]), "vx": float(self.states[i, 3]),
             "vx_ref": float(self.where[i, seeing.VX_REF]),
             "road": self.roads.scenarios[self.road[i]].name, "world": one.draw.name,
+            **traffic,
         }
+
+    def drawn(self, i: int) -> list[tuple[dict[str, float], float, float, float]]:
+        """Who is around car i, for pictures; see `Others.poses`."""
+        if self.others is None:
+            return []
+        return self.others.poses(i, float(self.steps[i]) * self.plant.Ts)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lpvmpc.control.rivals.observation import SIZE, TABLE, action_of
+from lpvmpc.control.rivals.observation import action_of
 from lpvmpc.errors import OptionError
 from lpvmpc.gym.cars import Cars, Setting
 from lpvmpc.interface import declared
@@ -36,8 +36,8 @@ def demonstrate(
         setting: Fields of `cars.Setting`.
 
     Returns:
-        Arrays of `steps` rows: `observations` (SIZE), `actions` (2), `rewards`, `terminated`,
-        `truncated`, and `episode`, counted from 0.
+        Arrays of `steps` rows: `observations` (SIZE, and 4 more in traffic), `actions` (2),
+        `rewards`, `terminated`, `truncated`, and `episode`, counted from 0.
 
     Raises:
         OptionError: Steps or noise outside their domain.
@@ -52,7 +52,7 @@ def demonstrate(
     rng = np.random.default_rng(seed)
     cars = Cars(1, Setting(**setting), threads=1)
     found: dict[str, npt.NDArray[Any]] = {
-        "observations": np.zeros((steps, SIZE), dtype=np.float32),
+        "observations": np.zeros((steps, len(cars.entries)), dtype=np.float32),
         "actions": np.zeros((steps, 2), dtype=np.float32),
         "rewards": np.zeros(steps),
         "terminated": np.zeros(steps, dtype=bool),
@@ -74,7 +74,7 @@ def demonstrate(
         ended = bool(cars.lost[0] or cars.over[0])
     if out is not None:
         columns: dict[str, npt.NDArray[Any]] = {
-            entry.name: found["observations"][:, i] for i, entry in enumerate(TABLE)
+            entry.name: found["observations"][:, i] for i, entry in enumerate(cars.entries)
         }
         for i, name in enumerate(("action_steering", "action_acceleration")):
             columns[name] = found["actions"][:, i]

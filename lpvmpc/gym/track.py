@@ -12,6 +12,8 @@ from gymnasium import spaces
 from lpvmpc.control.rivals.observation import BOUNDS
 from lpvmpc.errors import OptionError
 from lpvmpc.gym.cars import Cars, Setting
+from lpvmpc.gym.others import BOUNDS as OTHERS
+from lpvmpc.gym.others import LEAST
 from lpvmpc.gym.window import Window
 from lpvmpc.interface import Preview, State
 
@@ -20,6 +22,11 @@ FPS = 30
 
 OBSERVATION = spaces.Box(-BOUNDS.astype(np.float32), BOUNDS.astype(np.float32), dtype=np.float32)
 """`control.rivals.observation.TABLE` in order, in SI units."""
+IN_TRAFFIC = spaces.Box(
+    np.append(-BOUNDS, LEAST).astype(np.float32), np.append(BOUNDS, OTHERS).astype(np.float32),
+    dtype=np.float32,
+)
+"""The same with `others.ENTRIES` behind."""
 ACTION = spaces.Box(-1.0, 1.0, (2,), np.float32)
 """Steering, times the largest road-wheel angle; acceleration, 4 m/s2 at 1 and -8 m/s2 at -1."""
 
@@ -44,13 +51,15 @@ class TrackEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float32]]):
             render_mode: None, "rgb_array" or "human".
             width: Of the pictures [px].
             height: The same [px].
-            setting: Fields of `cars.Setting`: roads, worlds, observe, random_start, max_steps.
+            setting: Fields of `cars.Setting`: roads, worlds, observe, random_start, max_steps,
+                traffic.
         """
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise OptionError("render_mode", render_mode, "None, 'rgb_array' or 'human'")
         self.render_mode = render_mode
         self.cars = Cars(1, Setting(**setting), threads=1)
-        self.observation_space, self.action_space = OBSERVATION, ACTION
+        self.action_space = ACTION
+        self.observation_space = OBSERVATION if self.cars.others is None else IN_TRAFFIC
         self._window = Window(width, height, show=render_mode == "human")
 
     def reset(
@@ -91,7 +100,7 @@ class TrackEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float32]]):
         cars = self.cars
         number = int(cars.road[0])
         path = cars.roads.scenarios[number].path
-        return self._window.draw(number, path, cars.qpos[0], cars.states[0])
+        return self._window.draw(number, path, cars.qpos[0], cars.states[0], cars.drawn(0))
 
     def close(self) -> None:
         """Give window and OpenGL back."""

@@ -13,7 +13,7 @@ from gymnasium.vector.utils import batch_space
 from lpvmpc.errors import OptionError
 from lpvmpc.gym import seeing
 from lpvmpc.gym.cars import Cars, Setting
-from lpvmpc.gym.track import ACTION, FPS, OBSERVATION
+from lpvmpc.gym.track import ACTION, FPS, IN_TRAFFIC, OBSERVATION
 from lpvmpc.gym.window import Window
 
 Observations = npt.NDArray[np.float32]
@@ -46,7 +46,8 @@ class TrackVecEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDArray[n
             autoreset_mode: When an ended episode begins anew.
             width: Of each car's picture [px].
             height: The same [px].
-            setting: Fields of `cars.Setting`: roads, worlds, observe, random_start, max_steps.
+            setting: Fields of `cars.Setting`: roads, worlds, observe, random_start, max_steps,
+                traffic.
         """
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise OptionError("render_mode", render_mode, "None or 'rgb_array'")
@@ -55,8 +56,9 @@ class TrackVecEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDArray[n
         self.render_mode = render_mode
         self.num_envs = num_envs
         self.cars = Cars(num_envs, Setting(**setting), threads)
-        self.single_observation_space, self.single_action_space = OBSERVATION, ACTION
-        self.observation_space = batch_space(OBSERVATION, num_envs)
+        seen = OBSERVATION if self.cars.others is None else IN_TRAFFIC
+        self.single_observation_space, self.single_action_space = seen, ACTION
+        self.observation_space = batch_space(seen, num_envs)
         self.action_space = batch_space(ACTION, num_envs)
         self._rngs = [seeding.np_random(None)[0] for _ in range(num_envs)]
         self._ended: Flags = np.zeros(num_envs, dtype=bool)
@@ -120,6 +122,8 @@ class TrackVecEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDArray[n
             "s": where[:, seeing.S].copy(), "ey": where[:, seeing.EY].copy(),
             "vx": self.cars.states[:, 3].copy(),
         }
+        if self.cars.others is not None:
+            found["gap"] = self.cars.others.gap.copy()
         return {**found, **{f"_{name}": there.copy() for name in found}}
 
     def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:  # type: ignore[override]
@@ -130,7 +134,9 @@ class TrackVecEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDArray[n
         for i in range(self.num_envs):
             number = int(cars.road[i])
             path = cars.roads.scenarios[number].path
-            picture = self._windows[0].draw(number, path, cars.qpos[i], cars.states[i])
+            picture = self._windows[0].draw(
+                number, path, cars.qpos[i], cars.states[i], cars.drawn(i)
+            )
             assert picture is not None
             pictures.append(picture)
         return tuple(pictures)

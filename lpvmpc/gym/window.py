@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
+from functools import partial
 from typing import Any
 
 import mujoco
@@ -28,7 +30,8 @@ class Window:
         self._viewer: Any = None
 
     def draw(
-        self, number: int, path: Any, qpos: Array, state: Array
+        self, number: int, path: Any, qpos: Array, state: Array,
+        others: Iterable[tuple[dict[str, float], float, float, float]] = (),
     ) -> npt.NDArray[np.uint8] | None:
         """Draw it.
 
@@ -37,6 +40,7 @@ class Window:
             path: The road.
             qpos: Coordinates of the car, shape (17,).
             state: x, y, psi, ..., see `seeing`.
+            others: Road users, see `Others.poses`; a window of "human" does not show them.
 
         Raises:
             RenderError: No OpenGL, or no display for a window.
@@ -59,6 +63,8 @@ class Window:
         self._context.make_current()
         mujoco.mjv_updateScene(scenery.model, data, self._option, None, camera,
                                mujoco.mjtCatBit.mjCAT_ALL, self._scene)
+        for user, x, y, psi in others:
+            self._draw_user(partial(self._add, self._scene), user, x, y, psi)
         mujoco.mjr_render(self._rect, self._scene, self._gl)
         mujoco.mjr_readPixels(self._pixels, None, self._rect, self._gl)
         return np.ascontiguousarray(self._pixels[::-1])  # OpenGL's first row is the lowest
@@ -84,9 +90,10 @@ class Window:
                 raise RenderError(f"render_mode 'human' needs a display: {error}") from error
             self._viewer.cam.distance, self._viewer.cam.elevation = 9.0, -15.0
             return
+        self._add, self._draw_user = stage.add, stage.draw_user
         self._context = stage.gl_context(width, height)
         self._context.make_current()
-        self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 50)
+        self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 200)
         self._gl = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._gl)
         self._option = mujoco.MjvOption()

@@ -10,6 +10,7 @@ import math
 import os
 import sys
 import warnings
+from collections.abc import Callable
 from typing import Any
 
 import cv2
@@ -126,7 +127,8 @@ class Stage:
         self._horizon(now["horizon"])
         self._wind(now)
         for i, user in enumerate(self.users):
-            self._user(user, *(now[f"user{i}_{name}"] for name in ("x_m", "y_m", "psi_rad")))
+            place = (now[f"user{i}_{name}"] for name in ("x_m", "y_m", "psi_rad"))
+            draw_user(self._add, user, *place)
         mujoco.mjr_render(self.rect, self.scene, self.gl)
         mujoco.mjr_readPixels(self.pixels, None, self.rect, self.gl)
         frame = np.ascontiguousarray(self.pixels[::-1])  # OpenGL's first row is the lowest
@@ -138,19 +140,9 @@ class Stage:
         self.gl.free()
         self.context.free()
 
-    def _add(self, kind: Any, size: Any, place: Any, colour: Any, frame: Any = None) -> Any:
-        """One more body to draw in this frame; silently none when the scene is full."""
-        if self.scene.ngeom >= self.scene.maxgeom:
-            return None
-        geom = self.scene.geoms[self.scene.ngeom]
-        self.scene.ngeom += 1
-        mujoco.mjv_initGeom(geom, kind, np.asarray(size, float), np.asarray(place, float),
-                            (np.eye(3) if frame is None else frame).ravel(),
-                            np.asarray(colour, np.float32))
-        geom.category = mujoco.mjtCatBit.mjCAT_DECOR
-        geom.emission = 0.35
-        geom.specular = 0.0
-        return geom
+    def _add(self, *what: Any) -> Any:
+        """One more body to draw in this frame; see `add`."""
+        return add(self.scene, *what)
 
     def _arrow(self, start: Any, end: Any, thickness: float, colour: Any) -> None:
         geom = self._add(mujoco.mjtGeom.mjGEOM_ARROW, np.ones(3), np.zeros(3), colour)
@@ -173,24 +165,6 @@ class Stage:
                           (*(0.5 * (a + b) + side * left), 0.02), (*ORANGE, 1.0), frame)
             self._add(mujoco.mjtGeom.mjGEOM_BOX, (0.03, LADDER, 0.003), (*b, 0.02),
                       (*ORANGE, 1.0), frame)
-
-    def _user(self, user: dict[str, Any], x: float, y: float, psi: float) -> None:
-        """Another road user: a plain body with a cabin, wheels and tail lights."""
-        half, wide, high = (0.5 * user[name] for name in ("length_m", "width_m", "height_m"))
-        c, s = math.cos(psi), math.sin(psi)
-        frame = np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))
-
-        def box(ahead: float, left: float, up: float, size: Any, colour: Any) -> None:
-            self._add(mujoco.mjtGeom.mjGEOM_BOX, size,
-                      (x + c * ahead - s * left, y + s * ahead + c * left, up), colour, frame)
-
-        box(0.0, 0.0, 0.65 * high, (half, wide, 0.45 * high), USER)
-        box(-0.1 * half, 0.0, 1.5 * high, (0.6 * half, 0.9 * wide, 0.45 * high), GLASS)
-        for ahead in (-0.62 * half, 0.62 * half):
-            for left in (-wide, wide):
-                box(ahead, 0.93 * left, 0.28, (0.3, 0.1, 0.28), RUBBER)
-        for left in (-0.75 * wide, 0.75 * wide):
-            box(-half, left, 0.8 * high, (0.03, 0.18 * wide, 0.1 * high), LIGHT)
 
     def _forces(self, frame: Image, now: dict[str, Any]) -> None:
         """Tire force at each contact patch, in the plane of the road, seen through the body.
@@ -237,6 +211,50 @@ class Stage:
         for along in (-1.1, 0.0, 1.1):
             tip = np.array((now["x_m"] + along * c, now["y_m"] + along * s)) - 1.15 * blow
             self._arrow((*(tip - length * blow), 1.0), (*tip, 1.0), 0.05, (*AIR, 1.0))
+
+
+def add(scene: Any, kind: Any, size: Any, place: Any, colour: Any, frame: Any = None) -> Any:
+    """One more body to draw in a scene's frame; silently none when the scene is full."""
+    if scene.ngeom >= scene.maxgeom:
+        return None
+    geom = scene.geoms[scene.ngeom]
+    scene.ngeom += 1
+    mujoco.mjv_initGeom(geom, kind, np.asarray(size, float), np.asarray(place, float),
+                        (np.eye(3) if frame is None else frame).ravel(),
+                        np.asarray(colour, np.float32))
+    geom.category = mujoco.mjtCatBit.mjCAT_DECOR
+    geom.emission = 0.35
+    geom.specular = 0.0
+    return geom
+
+
+def draw_user(
+    add: Callable[..., Any], user: dict[str, Any], x: float, y: float, psi: float
+) -> None:
+    """Another road user: a plain body with a cabin, wheels and tail lights.
+
+    Args:
+        add: Adds a body to the frame, by kind, size, place, colour and axes.
+        user: Its length_m, width_m and height_m.
+        x: Its middle [m].
+        y: The same [m].
+        psi: Its heading [rad].
+    """
+    half, wide, high = (0.5 * user[name] for name in ("length_m", "width_m", "height_m"))
+    c, s = math.cos(psi), math.sin(psi)
+    frame = np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))
+
+    def box(ahead: float, left: float, up: float, size: Any, colour: Any) -> None:
+        add(mujoco.mjtGeom.mjGEOM_BOX, size,
+            (x + c * ahead - s * left, y + s * ahead + c * left, up), colour, frame)
+
+    box(0.0, 0.0, 0.65 * high, (half, wide, 0.45 * high), USER)
+    box(-0.1 * half, 0.0, 1.5 * high, (0.6 * half, 0.9 * wide, 0.45 * high), GLASS)
+    for ahead in (-0.62 * half, 0.62 * half):
+        for left in (-wide, wide):
+            box(ahead, 0.93 * left, 0.28, (0.3, 0.1, 0.28), RUBBER)
+    for left in (-0.75 * wide, 0.75 * wide):
+        box(-half, left, 0.8 * high, (0.03, 0.18 * wide, 0.1 * high), LIGHT)
 
 
 def gl_context(width: int, height: int) -> Any:
