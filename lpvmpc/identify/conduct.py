@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from lpvmpc.identify import push as pushes
 from lpvmpc.identify.candidate import IN_SINGLE_TRACK, Candidate, check_names
 from lpvmpc.identify.fit import Fit, fit
 from lpvmpc.identify.follow import Push
@@ -45,8 +46,8 @@ class Replay:
     """Error energy by model and channel."""
     follow: str
     """What followed the speed."""
-    pushed: bool
-    """Whether a side force and a yaw moment acted besides."""
+    unpushed: Mapping[str, float | None] | None
+    """Where a side force and a yaw moment acted besides: the plant's R2 by channel without them."""
     more: dict[str, Any] = field(default_factory=dict)
     """What a command adds."""
 
@@ -60,7 +61,9 @@ class Replay:
             "recording": self.recording.name,
             "samples": sum(len(one.t) for one in self.segments),
             "segments": [[float(one.t[0]), float(one.t[-1])] for one in self.segments],
-            "steering_held": self.recording.held, "follow": self.follow, "push": self.pushed,
+            "steering_held": self.recording.held, "follow": self.follow,
+            "push": self.unpushed is not None,
+            "r2_without_push": None if self.unpushed is None else dict(self.unpushed),
             "fit": list(self.names), "fit_on": list(self.fitted_on),
             "models": {
                 model: {
@@ -99,7 +102,8 @@ def conduct(
 
     Raises:
         UnknownNameError: A parameter that does not exist.
-        DataError: A recording has no segment that can be replayed.
+        DataError: A recording has no segment that can be replayed, or the push was identified on
+            the one that is scored.
         LPVMPCError: The car cannot follow.
     """
     check_names(names)
@@ -119,6 +123,11 @@ def conduct(
                 made[model] = fit(start, own, basis, predict)
     candidates |= {model: one.candidate for model, one in made.items()}
     progress("replaying")
+    unpushed = None
+    if push is not None:
+        pushes.check(push, recording)
+        alone = [plant(follow)([candidates[PLANT]], one)[0] for one in segments]
+        unpushed = {name: one.r2 for name, one in scores(segments, alone).whole.items()}
     simulated = {
         model: [predictors[model]([candidates[model]], one)[0] for one in segments]
         for model in MODELS
@@ -129,5 +138,5 @@ def conduct(
         candidates=candidates, simulated=simulated,
         scores={model: scores(segments, simulated[model]) for model in MODELS},
         energies={model: error_energy(segments, simulated[model]) for model in MODELS},
-        follow=follow, pushed=push is not None,
+        follow=follow, unpushed=unpushed,
     )

@@ -84,6 +84,8 @@ class Push:
     """Side force at the centre of mass, left positive [N], shape (n,)."""
     moment: Array
     """Yaw moment [N m], shape (n,)."""
+    source: str = ""
+    """Name of the recording that it was identified on."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,6 +146,21 @@ class _Wish:
     moment: Array
     """Yaw moment [N m], shape (N, steps)."""
 
+    def held_at(self, recording: Recording, k: int, vy: Array) -> Array:
+        """Side speed and yaw rate at which N cars of side speeds vy are held, shape (N, 2).
+
+        Those recorded, smoothed before the start; a side speed that was not recorded is let be.
+        """
+        out = np.empty((len(vy), 2))
+        for j, values in enumerate((recording.vy, recording.r)):
+            if values is None:
+                out[:, j] = vy
+            elif k < self.held:
+                out[:, j] = recording.first(values)
+            else:  # what was looked at is the end of the step before
+                out[:, j] = np.interp(self.times[k - 1], recording.t, values)
+        return out
+
 
 class _Cars:
     """N cars of one kind and what is needed to look at their motion."""
@@ -176,6 +193,7 @@ def replay(
     push: Push | Sequence[Push] | None = None,
     turning: bool = False,
     threads: int = 0,
+    pulls: list[Array] | None = None,
 ) -> Motion:
     """Drive cars by one segment of a recording.
 
@@ -192,6 +210,9 @@ def replay(
             at its yaw rate, instead of the first recorded one: for a recording that begins as the
             wheel is turned.
         threads: Number of threads, 0 for one per core.
+        pulls: Where given, the cars are held at the recorded side speed and yaw rate all along, and
+            the pulls that it took are appended, chunk by chunk: side force over mass, moment over
+            inertia, shape (N, 2).
 
     Raises:
         LPVMPCError: A car cannot follow: it spins, falls over, or diverges.
@@ -225,7 +246,11 @@ def replay(
                 )
             if k == wish.held:
                 origin[:] = now
-            _control(control, wish, k, cars, now, sums, recording, dt, follow)
+            pull = _control(
+                control, wish, k, cars, now, sums, recording, dt, follow, pulls is not None
+            )
+            if pulls is not None and k >= wish.held:
+                pulls.append(pull)
             engine.rollout(
                 cars.models, datas, cars.state, control, control_spec=CONTROL, nstep=CHUNK,
                 state=out, sensordata=sensors, skip_checks=True, chunk_size=1,
@@ -277,17 +302,20 @@ def _wish(
 
 def _control(
     control: Array, wish: _Wish, k: int, cars: _Cars, now: Array, sums: Array,
-    recording: Recording, dt: float, follow: str,
-) -> None:
-    """Controls and applied forces of the steps from k on, in place, shape (N, CHUNK, nu + nv)."""
+    recording: Recording, dt: float, follow: str, always: bool,
+) -> Array:
+    """Controls and applied forces of the steps from k on, in place, shape (N, CHUNK, nu + nv).
+
+    Returns the accelerations (N, 2) by which the cars are held, sideways and in yaw.
+    """
+    pull = np.zeros((cars.N, 2))
     part = slice(k, k + CHUNK)
     missing = wish.vx[k] - now[:, VX]
     sums[:, 0] += RESET * dt * CHUNK * missing
     ax = wish.ax[part] + (GAIN * missing + sums[:, 0] - now[:, R] * now[:, VY])[:, None]
     Fy, Mz = wish.force[:, part].copy(), wish.moment[:, part].copy()
-    if k < wish.held:
-        vy = now[:, VY] if recording.vy is None else recording.first(recording.vy)
-        wrong = np.stack([vy - now[:, VY], recording.first(recording.r) - now[:, R]], axis=1)
+    if k < wish.held or always:
+        wrong = wish.held_at(recording, k, now[:, VY]) - now[:, [VY, R]]
         sums[:, 1:] += GRIP_RESET * dt * CHUNK * wrong
         pull = GRIP * wrong + sums[:, 1:]
         Fy += (cars.mass * pull[:, 0])[:, None]
@@ -299,6 +327,7 @@ def _control(
         ax = np.zeros_like(ax)
     _wrench(control[:, :, cars.nu :], now, cars.com, cars.mass[:, None] * ax, Fy, Mz, dt,
             cars.state[:, 3])
+    return pull
 
 
 def _rolling(model: mujoco.MjModel, vx: float) -> Array:

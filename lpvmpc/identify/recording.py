@@ -203,7 +203,7 @@ def read_recording(file: str | os.PathLike[str]) -> Recording:
         DataError: It cannot be read, or cannot be a recording of a car; one sentence says why.
     """
     path = Path(file)
-    names, rows = _table(path)
+    names, rows = table_of(path)
     for name in NEEDED:
         if name not in names:
             raise DataError(
@@ -225,16 +225,17 @@ def read_recording(file: str | os.PathLike[str]) -> Recording:
     )
 
 
-def _table(path: Path) -> tuple[list[str], list[list[float]]]:
-    """Names of the columns and the rows of numbers."""
+def table_of(path: Path, what: str = "recording") -> tuple[list[str], list[list[float]]]:
+    """Names of the columns and the rows of numbers of a file that is called `what`."""
+    one = what.capitalize()
     try:
         lines = read_bytes(path, LARGEST).decode("utf-8-sig").splitlines()
     except FileNotFoundError:
-        raise DataError(f"There is no recording {path}.") from None
+        raise DataError(f"There is no {what} {path}.") from None
     except UnicodeDecodeError:
-        raise DataError(f"Recording {path} is not a text file.") from None
+        raise DataError(f"{one} {path} is not a text file.") from None
     except OSError as error:
-        raise DataError(f"Recording {path} cannot be read: {error.strerror or error}.") from None
+        raise DataError(f"{one} {path} cannot be read: {error.strerror or error}.") from None
     names: list[str] = []
     rows: list[list[float]] = []
     separator = ","
@@ -248,25 +249,25 @@ def _table(path: Path) -> tuple[list[str], list[list[float]]]:
             separator = next((mark for mark in ";\t" if mark in text), ",")
             names = [word.strip().strip('"') for word in text.split(separator)]
             if len(set(names)) != len(names):
-                raise DataError(f"Recording {path} names a column twice: {text[:200]}.")
+                raise DataError(f"{one} {path} names a column twice: {text[:200]}.")
             continue
         if line.startswith("#"):
             continue
         words = line.split(separator)
         if len(words) != len(names):
             raise DataError(
-                f"Line {number} of recording {path} has {len(words)} columns, but the header "
+                f"Line {number} of {what} {path} has {len(words)} columns, but the header "
                 f"names {len(names)}."
             )
         try:
             row = [float(word) for word in words]
         except ValueError:
             raise DataError(
-                f"Line {number} of recording {path} holds {line[:60]!r}, but must hold numbers."
+                f"Line {number} of {what} {path} holds {line[:60]!r}, but must hold numbers."
             ) from None
         rows.append(row)
     if not names:
-        raise DataError(f"Recording {path} is empty.")
+        raise DataError(f"{one} {path} is empty.")
     return names, rows
 
 

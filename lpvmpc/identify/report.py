@@ -135,14 +135,22 @@ def printed(replay: Replay) -> str:
         f"bypassed; {replay.follow} follow the speed.",
         "",
     ]
-    if replay.pushed:
-        lines.insert(1, "A side force and a yaw moment of unrecorded wind act besides.")
+    lines[1:1] = _pushed(replay)
     text = "\n".join([*lines, *tables(replay)])
     for kind in KINDS:
         text += (
             f"Error energy of the plant over that of the {TITLES[kind]}: {replay.ratio(kind):.3f}\n"
         )
     return text
+
+
+def _pushed(replay: Replay) -> list[str]:
+    if replay.unpushed is None:
+        return []
+    without = ", ".join(f"{NAMES[name]} {'-' if r2 is None else f'{r2:.5f}'}"
+                        for name, r2 in replay.unpushed.items())
+    return ["A side force and a yaw moment that no column records act besides on the plant, not on "
+            f"the single tracks; without them its R2 is: {without}."]
 
 
 def as_csv(replay: Replay) -> str:
@@ -173,8 +181,7 @@ def markdown(replay: Replay, how: str) -> str:
         METHOD.format(follow=FOLLOWED[replay.follow]),
         f"{len(replay.recording.t)} samples, {len(replay.segments)} segment(s); the steering is "
         f"{held}.", "",
-        *(["**A side force and a yaw moment of unrecorded wind act besides.**", ""]
-          if replay.pushed else []),
+        *(f"**{one}**\n" for one in _pushed(replay)),
     ]
     return "\n".join([*head, *tables(replay)]) + "\n![Overlay](replay.png)\n"
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
+from lpvmpc.commands.parts.the_car import CarPlace, TireFile, with_car
 from lpvmpc.errors import OptionError
 from lpvmpc.kit import cli
 from lpvmpc.kit.files import write_json
@@ -44,11 +45,16 @@ class Options:
     ))] = ()
     fit_on: tuple[Path, ...] = ()
     """Recordings to fit on (default: the one that is scored)."""
-    car: Path | None = None
-    """Folder or MJCF file of the car to begin with (default: the packaged one)."""
+    car: CarPlace = None
     follow: Literal["wheels", "force"] = "wheels"
     """What follows the recorded speed: the car's own drive and brakes, without lag and limit, or
     a force on the whole car."""
+    tire: TireFile = None
+    push: Path | None = None
+    """Side force and yaw moment over time that act besides, as --save-push wrote them for another
+    recording; scores without them are told as well."""
+    save_push: Path | None = None
+    """Identify them on the recording that is fitted on, and write them to this CSV file."""
     save: Path | None = None
     """Write the car that was identified into this folder, for --car."""
     study: bool = False
@@ -59,6 +65,7 @@ class Options:
     """Write what was printed to this file as well."""
 
 
+@with_car()
 def main(options: Options) -> int:
     """Replay, print, save; returns the exit code."""
     cli.check_opengl()
@@ -71,23 +78,30 @@ def main(options: Options) -> int:
     if options.save is not None and not options.fit:
         raise OptionError("--save", str(options.save), "given together with --fit NAME ...")
     from lpvmpc.identify import figures, report
+    from lpvmpc.identify import push as pushes
     from lpvmpc.identify.candidate import check_names
     from lpvmpc.identify.conduct import conduct
     from lpvmpc.identify.recording import read_recording
 
     check_names(options.fit)
+    if options.save_push is not None and len(options.fit_on) > 1:
+        raise OptionError("--save-push", str(options.save_push), "given with one recording")
     recording = read_recording(options.recording)
     basis = [read_recording(file) for file in options.fit_on]
     if options.rows != (0, 0):
         basis = [one.rows(*options.rows) for one in basis or [recording]]
-    start = _start(options.car)
+    push = None if options.push is None else pushes.read(options.push)
+    if push is not None:
+        pushes.check(push, recording)
+    start = _start()
     out = options.out or Path("runs/replay")
     cli.results_folder(out, "replay")
-    for folder in (options.json.parent if options.json else None, options.save):
+    files = (options.json, options.save_push)
+    for folder in (*(file.parent if file else None for file in files), options.save):
         if folder is not None:
             cli.writable_folder(folder)
     found = conduct(
-        start, recording, options.fit, basis, follow=options.follow, progress=say
+        start, recording, options.fit, basis, follow=options.follow, push=push, progress=say
     )
     print(report.printed(found), end="")
     how = f"python eval/replay.py --recording {options.recording}"
@@ -98,17 +112,23 @@ def main(options: Options) -> int:
     if options.json is not None:
         write_json(options.json, found.as_json())
     print(f"Saved {out}/ (replay.md, replay.csv, replay.json, replay.png)")
+    if options.save_push is not None:
+        known = pushes.identify(found.candidates["plant"], (basis or [recording])[0],
+                                options.follow)
+        pushes.write(options.save_push, known)
+        print(f"Saved {options.save_push} (side force up to {abs(known.force).max():.0f} N, yaw "
+              f"moment up to {abs(known.moment).max():.0f} N m)")
     if options.save is not None:
         _save(options.save, found)
     return cli.DONE
 
 
-def _start(car: Path | None) -> Candidate:
-    """The car to begin with, and what is known of its recordings' steering."""
+def _start() -> Candidate:
+    """The car that is meant, and what is known of its recordings' steering."""
     from lpvmpc.identify.candidate import Candidate
     from lpvmpc.plant.car_folder import read_car
 
-    read = read_car(car)
+    read = read_car()
     steering = _steering(read.folder)
     if steering is not None:
         print(f"Steering of recordings as identified with this car: {steering}")
@@ -132,11 +152,11 @@ def _save(folder: Path, found: Replay) -> None:
 
 def _study(options: Options) -> int:
     """Write docs/results/replay.md."""
-    from lpvmpc.identify import evidence
+    from lpvmpc.identify.evidence import study
 
     out = options.out or Path("docs/results")
     cli.results_folder(out, "replay")
-    values = evidence.write(out, say)
+    values = study.write(out, say)
     if options.json is not None:
         write_json(options.json, values)
     print(f"Saved {out}/ (replay.md, replay.csv, replay.json, replay-*.png)")

@@ -3,16 +3,22 @@
 `vehicle_dynamics_mb` of commonroad-vehicle-models (TU Munich, BSD-3; Althoff and Wuersching, 2020)
 with its own parameters, number 2 being the BMW 320i. 29 states: roll, pitch, compliant axles, four
 tires with camber and shifts; no relaxation, no load dependence.
+
+    python -m lpvmpc.identify.evidence.multibody drive.csv
+
+writes 40 s of the BMW, driven to its limit, as `lpvmpc adopt drive.csv --out cars/mine` reads it.
 """
 
 from __future__ import annotations
 
 import math
+import sys
 
 import numpy as np
 from scipy.integrate import solve_ivp
 
 from lpvmpc.identify.recording import Recording
+from lpvmpc.kit.files import write_text
 
 SAMPLE = 0.02
 """Time between two samples [s]."""
@@ -69,3 +75,21 @@ def record(
         name=f"CommonRoad multibody {number}, {top:g} rad", t=times, delta=y[2], vx=y[3], vy=y[10],
         r=y[5],
     )
+
+
+def main(words: list[str]) -> int:
+    """Write a recording of the BMW, driven to its limit."""
+    if len(words) != 1 or words[0].startswith("-"):
+        print(__doc__)
+        return 2 * (words not in (["-h"], ["--help"]))
+    one = record(0.065, seconds=40.0)
+    assert one.vy is not None
+    rows = np.column_stack([one.t, one.delta, one.vx, one.vy, one.r])
+    lines = ["t_s,delta_rad,vx_mps,vy_mps,r_radps"]
+    lines += [",".join(f"{value:.8g}" for value in row) for row in rows]
+    write_text(words[0], "\n".join(lines) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -10,7 +10,7 @@ from typing import Any
 from lpvmpc.identify import figures, report
 from lpvmpc.identify.candidate import Candidate
 from lpvmpc.identify.conduct import Replay, conduct
-from lpvmpc.identify.multibody import record
+from lpvmpc.identify.evidence.multibody import record
 from lpvmpc.identify.recording import read_recording
 from lpvmpc.kit.markdown import markdown_table
 from lpvmpc.kit.provenance import machine

@@ -1,0 +1,1 @@
+"""The evidence that ships: recordings made and replayed, docs/results/replay.md."""
