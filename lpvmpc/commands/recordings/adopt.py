@@ -30,7 +30,7 @@ from lpvmpc.kit.report import versions_line
 if TYPE_CHECKING:
     from lpvmpc.identify.conduct import Replay
 
-STAGES = {"fit": 120.0, "collect": 420.0, "train": 420.0, "tune": 420.0, "drive": 120.0}
+STAGES = {"fit": 120.0, "collect": 120.0, "train": 120.0, "tune": 240.0, "drive": 60.0}
 """Stages in their order, and how long each takes on two cores, for the estimate [s]."""
 DONE_FILE = "adopt.json"
 """Which stages are through, with their times and results."""
@@ -216,7 +216,8 @@ def _tune(options: Options, out: Path) -> dict[str, Any]:
     folder = out / "tuning"
     if options.generations:
         _run(tune.main, tune.Options(
-            controller="lpv-mpc", generations=options.generations, population=POPULATION, car=out,
+            controller="lpv-mpc", worlds=tuple(BARS), generations=options.generations,
+            population=POPULATION, car=out,
             jobs=options.jobs or cli.cores(), out=folder,
             resume=any((folder / name).exists() for name in ("checkpoint.json", "tuning.json")),
         ))
