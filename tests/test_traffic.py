@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -152,6 +153,29 @@ def test_a_change_on_a_straight_road_takes_no_more_than_its_acceleration():
     ay = new.speed.at(new.path.s) ** 2 * np.abs(new.path.kappa)
     # the shifted path is a little longer than the old one, and its speed that of the old one's s
     assert 0.5 * AY < ay[early].max() <= 1.05 * AY
+
+
+def test_wind_friction_and_edges_stay_where_they_are_on_the_road(slalom):
+    friction = lambda s: 0.8 if s < 150.0 else 0.5  # noqa: E731
+    wind = replace(slalom.wind, knots=[0.0, 150.0, 151.0], speeds=[0.0, 0.0, 9.0], over="distance")
+    user = RoadUser(name="a", s=90.0, side="left", ey=-1.0)
+    new = detour(replace(slalom, wind=wind, friction=friction),
+                 Traffic(slalom.path, (user,)), packaged_car())
+    x, y = map(float, slalom.path.at(150.0)[:2])
+    at = new.path.project(x, y, 150.0)[0]
+    assert abs(at - 150.0) > 0.1  # the new way is longer, so the test can fail
+    assert new.friction(at - 0.05) == 0.8 and new.friction(at + 0.05) == 0.5
+    assert new.wind.speed(0.0, at - 0.05) == 0.0
+    assert new.wind.speed(0.0, at + 0.5) == pytest.approx(4.5, abs=0.5)
+    beside = new.path.project(*map(float, slalom.path.at(90.0)[:2]), 90.0)
+    assert new.path.width_at(beside[0], 1.0) == pytest.approx(3.5 + beside[1], abs=0.05)
+
+
+def test_a_reference_that_comes_too_near_elsewhere_is_refused():
+    """The skidpad goes round its circle twice, so whoever stands there is passed again."""
+    pad = load_scenario("skidpad")
+    with pytest.raises(PathError, match="would come within 0.00 m of it"):
+        detour(pad, load_traffic("parked-car", pad), packaged_car())
 
 
 def test_nobody_in_the_way_leaves_the_scenario_as_it_is(slalom):

@@ -7,14 +7,16 @@ formulas for a curve at an offset e(s) from another,
 
     d s' = sqrt((1 - kappa e)^2 + e'^2) d s,   psi' = psi + atan2(e', 1 - kappa e),
 
-and its speed is planned anew, nowhere above the old one. What comes out is a road like any other:
-preview, scoring and pictures know nothing of the detour.
+and its speed is planned anew, nowhere above the old one. Wind and friction that change along the
+road stay where they are. What comes out is a road like any other: preview, scoring and pictures
+know nothing of the detour.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -69,10 +71,34 @@ def detour(scenario: Scenario, traffic: Traffic, car: VehicleParams) -> Scenario
     planned = plan(new, car, ay_max=limit, v_max=float(scenario.speed.vx.max()))
     speed = SpeedProfile(np.minimum(planned.vx, scenario.speed.at(s_old)), new.length, new.closed,
                          scenario.speed.rest)
-    found = replace(scenario, path=new, speed=speed,
+    wind, friction = scenario.wind, scenario.friction
+    s_new = np.interp(path.s, s_old, new.s)
+    if wind.over == "distance":
+        knots = np.asarray(wind.knots, dtype=float)
+        beyond = knots - np.clip(knots, 0.0, path.length)
+        knots = np.interp(knots, path.s, s_new) + beyond
+        wind = replace(wind, knots=knots, period=None if wind.period is None else new.length)
+    if friction is not None:
+        friction = _Moved(friction, new.s, s_old)
+    found = replace(scenario, path=new, speed=speed, wind=wind, friction=friction,
                     source=f"{scenario.source} With a detour round its traffic.")
     _check(found, traffic, car)
     return found
+
+
+@dataclass(frozen=True)
+class _Moved:
+    """The friction of the old path at arc lengths of the new one."""
+
+    friction: Callable[[float], float]
+    s_new: Array
+    s_old: Array
+
+    def __call__(self, s: float) -> float:
+        """Friction scale at an arc length [m], lap after lap."""
+        laps, rest = divmod(s, float(self.s_new[-1]))
+        here = float(np.interp(rest, self.s_new, self.s_old))
+        return self.friction(laps * float(self.s_old[-1]) + here)
 
 
 def _times(scenario: Scenario) -> Array:
@@ -171,17 +197,22 @@ def _shifted(path: Path, shift: Array) -> tuple[Path, Array]:
     new = Path(
         np.interp(grid, s_new, kappa), float(s_new[-1]), x0=x - e[0] * math.sin(psi),
         y0=y + e[0] * math.cos(psi), psi0=psi + start, closed=path.closed,
-        width=sides if path.has_widths else None, largest_shift=path.largest_shift,
+        width=sides, largest_shift=path.largest_shift,
     )
     return new, s_old
 
 
 def _check(scenario: Scenario, traffic: Traffic, car: VehicleParams) -> None:
-    """Refuse a detour whose own reference meets somebody after all: its timing is another."""
+    """Refuse a detour whose own reference comes too near after all: its timing is another.
+
+    In a bend the corners of both are nearer to each other than their sides, so it is not the whole
+    clearance that is asked for.
+    """
     times, path = _times(scenario), scenario.path
     for i in range(0, len(path.s), max(1, round(2.0 / path.spacing))):
         own = footprint(car, float(path.x[i]), float(path.y[i]), float(path.psi[i]))
         for user in traffic.users:
-            if gap(own, traffic.box(user, float(times[i]))) <= 0.0:
-                raise PathError(f"No detour was found round {user.name!r}: it would be met at "
-                                f"{path.s[i]:.0f} m.")
+            room = gap(own, traffic.box(user, float(times[i])))
+            if room < 0.5 * CLEARANCE:
+                raise PathError(f"No detour was found round {user.name!r}: the reference would "
+                                f"come within {room:.2f} m of it at {path.s[i]:.0f} m.")
