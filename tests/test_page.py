@@ -60,6 +60,23 @@ def test_its_curves_are_those_of_the_log():
         assert word in titles
 
 
+def test_traffic_is_seen_from_above_and_its_gap_plotted():
+    log = fake_log()
+    assert data_of(page(log, content(log), ROWS))["users"] == []
+    n = len(log.columns["t_s"])
+    log.meta["traffic"] = [{"name": "van", "length_m": 5.0, "width_m": 2.0, "height_m": 2.0}] * 2
+    for i in range(2):
+        for name in ("x_m", "y_m", "psi_rad", "s_m", "gap_m"):
+            log.columns[f"user{i}_{name}"] = np.linspace(3.0 + i, 1.0, n)
+    data = data_of(page(log, content(log), ROWS))
+    assert [user["length"] for user in data["users"]] == [5.0, 5.0]
+    np.testing.assert_allclose(numbers(data["users"][1]["pose"][0]), np.linspace(4.0, 1.0, n),
+                               rtol=1e-6)
+    (gap,) = (plot for plot in data["plots"] if "road user" in plot["title"])
+    np.testing.assert_allclose(numbers(gap["curves"][0]["values"]), np.linspace(3.0, 1.0, n),
+                               rtol=1e-6)
+
+
 def test_an_estimate_and_a_lost_run_are_shown_as_such():
     log = fake_log()
     log.columns["est_ey_m"] = log.columns["ey_m"] + 0.01

@@ -15,6 +15,7 @@ const pair = ([x, y]) => [column(x), column(y)];
 const t = column(D.t), x = column(D.x), y = column(D.y), psi = column(D.psi), s = column(D.s);
 const delta = column(D.delta), vx = column(D.vx), n = t.length;
 const forces = D.forces.map(pair), horizon = D.horizon.map(pair);
+const users = D.users.map(user => ({...user, pose: user.pose.map(column)}));
 const first = t[0], last = t[n - 1];
 let now = first, low = first, high = last;
 
@@ -274,6 +275,10 @@ function above() {
       "stroke-dasharray": "6 6"}), near.driven, near.ladder);
   for (const [cx, cy] of D.cones) near.world.append(draw("circle", {cx, cy, r: 0.2,
     fill: "#D55E00"}));
+  near.users = users.map(({length, width}) => draw("rect", {x: -length / 2, y: -width / 2,
+    width: length, height: width, rx: 0.3, fill: "var(--line)", stroke: "var(--ink)",
+    "stroke-width": 1.5, "vector-effect": "non-scaling-stroke"}));
+  near.world.append(...near.users);
   near.text = draw("text", {x: -11.4, y: -8, "font-size": 1.5, class: "soft"});
   set($("near"), {viewBox: "-12 -10 48 20"}).replaceChildren(near.world, near.car, near.text);
 }
@@ -299,6 +304,8 @@ function place() {
     if (Number.isFinite(hx[i])) ladder += (ladder ? "L" : "M") + `${hx[i]} ${hy[i]}`;
   }
   set(near.ladder, {d: ladder || "M0 0"});
+  users.forEach(({pose: [ux, uy, turned]}, j) => set(near.users[j], {transform:
+    `translate(${between(ux)},${between(uy)}) rotate(${degrees(turned[i])})`}));
   near.text.textContent = `${vx[i].toFixed(1)} m/s`;
   set(map.car, {cx: px, cy: py});
 }

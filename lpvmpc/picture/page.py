@@ -140,6 +140,11 @@ def _data(log: Any, every: int) -> dict[str, Any]:
         "horizon": [[_packed(real * c[f"pred_{way}_m_{k}"]) for way in "xy"] for k in rungs],
         "car": {"lf": lf, "lr": lr, "width": width},
         "road": _road(log.scenario.path),
+        "users": [
+            {"length": user["length_m"], "width": user["width_m"],
+             "pose": [_packed(c[f"user{i}_{name}"]) for name in ("x_m", "y_m", "psi_rad")]}
+            for i, user in enumerate(log.meta.get("traffic", []))
+        ],
         "cones": np.round(np.asarray(log.scenario.cones, float), 2).tolist(),
         "plots": [
             {"title": title, "unit": unit, "digits": digits, "curves": [
@@ -196,6 +201,10 @@ def _plots(log: Any, c: Mapping[str, Array],
     yield "Friction used", "%", 0, used
     if np.any(np.nan_to_num(c["wind_mps"])):
         yield "Side wind", "m/s", 1, [("wind", GREEN, "", c["wind_mps"])]
+    users = log.meta.get("traffic", [])
+    if users:
+        nearest = np.min([c[f"user{i}_gap_m"] for i in range(len(users))], axis=0)
+        yield "Gap to the nearest road user", "m", 2, [("bodies", GREEN, "", nearest)]
     step = np.asarray(log.timing["step_us"], float)[::every][: len(c["t_s"])]
     if len(step) == len(c["t_s"]):
         yield "Control step", "ms", 3, [("CPU time", GREY, "", 1e-3 * step)]
