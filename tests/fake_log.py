@@ -77,7 +77,7 @@ def fake_log(duration: float = 20.0, name: str = "paper", length: float = 600.0,
               "check_us": 0.1 * step}
     meta = {"scenario": name, "controller": "lpv-mpc", "seed": 0, "completed": True,
             "reason": "end of the path", "Ts": TS}
-    return SimpleNamespace(columns=columns, timing=timing, meta=meta,
+    return SimpleNamespace(columns=columns, timing=timing, meta=meta, road=None,
                            scenario=SimpleNamespace(name=name, path=path, cones=np.empty((0, 2))))
 
 

@@ -79,3 +79,22 @@ def test_a_disabled_opengl_is_respected(monkeypatch):
     monkeypatch.setenv("MUJOCO_GL", "disable")
     with pytest.raises(RenderError, match="MUJOCO_GL is 'disable'"):
         gl_context(64, 64)
+
+
+@needs_opengl
+def test_another_road_user_is_in_the_picture(log, stage):
+    now = Motion(log, 30).at(10)
+    stage.chase.heading, stage.chase.rate = None, 0.0  # the camera begins anew for both
+    before = stage.picture(now).astype(int)
+    stage.chase.heading, stage.chase.rate = None, 0.0
+    stage.users = [{"name": "van", "length_m": 4.0, "width_m": 1.8, "height_m": 1.6}]
+    c, s = np.cos(now["psi_rad"]), np.sin(now["psi_rad"])
+    try:
+        place = {"user0_x_m": now["x_m"] + 8.0 * c, "user0_y_m": now["y_m"] + 8.0 * s}
+        after = stage.picture({**now, **place, "user0_psi_rad": now["psi_rad"]}).astype(int)
+    finally:
+        stage.users = []
+    rows, columns = np.nonzero(np.abs(after - before).max(axis=2) > 40)
+    assert len(rows) > 200
+    # above the middle, where the road ahead is, and not all over the picture
+    assert np.median(rows) < 0.6 * HEIGHT and np.ptp(columns) < 0.5 * WIDTH
