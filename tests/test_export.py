@@ -4,16 +4,21 @@ import csv
 import json
 import re
 import shutil
+import warnings
 from xml.etree import ElementTree
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from lpvmpc.commands import main
+from lpvmpc.errors import DataError
 from lpvmpc.export.stored import read_run
 from lpvmpc.export.topics import places_of
+from lpvmpc.kit.cli import one_line
 from lpvmpc.picture import figures
+from lpvmpc.reliability.damage import damaged
 
 ROAD = "# x_m,y_m,w_tr_right_m,w_tr_left_m,vx_mps\n"
 
@@ -55,6 +60,58 @@ def rows_of(file):
             messages[channel.topic].append((message.log_time, json.loads(message.data)))
         attached = [a for a in reader.iter_attachments()]
     return messages, attached
+
+
+# Damage -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["trace.parquet", "timing.parquet", "metrics.json"])
+def test_a_damaged_run_is_never_taken_for_a_whole_one(here, name):
+    raw = (here / name).read_bytes()
+    _, whole = read_run(here)
+    for i in range(40):
+        (here / name).write_bytes(damaged(raw, np.random.default_rng(i)))
+        try:
+            _, content = read_run(here)
+        except DataError as error:
+            assert one_line(str(error)).endswith(".")
+        else:
+            assert content == whole  # a blank between two values of metrics.json
+
+
+@pytest.mark.parametrize("wrong", [
+    "[]", "null", "{}", '{"record": 3}', {"duration_s": "long"}, {"lap_times_s": 3},
+    {"completed": None}, {"qp": [1]}, {"world": "rtk"}, {"reason": 5}, {"estimator": {}},
+    {"lateral_rmse_m": float("inf")}, {"record": {}}, {"versions": "1"},
+])
+def test_without_checksums_it_is_told_and_what_is_no_run_refused(here, wrong):
+    content = json.loads((here / "metrics.json").read_text())
+    del content["record"]["sha256"]
+    (here / "metrics.json").write_text(json.dumps(content))
+    with pytest.warns(UserWarning, match="no checksums"):
+        read_run(here)
+    text = wrong if isinstance(wrong, str) else json.dumps(content | wrong)
+    (here / "metrics.json").write_text(text)
+    with pytest.raises(DataError, match="no whole run"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        read_run(here)
+
+
+def test_tables_that_are_none_are_refused_without_checksums_too(here):
+    content = json.loads((here / "metrics.json").read_text())
+    del content["record"]["sha256"]
+    (here / "metrics.json").write_text(json.dumps(content))
+    table = pq.read_table(here / "trace.parquet")
+    s_m = table.column_names.index("s_m")
+    nothing = pa.array([np.nan] * len(table))
+    for wrong in (
+        table.append_column("s_m", table["s_m"]), table.drop_columns(["vx_mps"]),
+        table.set_column(s_m, "s_m", nothing), table.replace_schema_metadata({}),
+        table.set_column(s_m, "s_m", pa.array(["x"] * len(table))), pa.table({"a": [1]}),
+    ):
+        pq.write_table(wrong, here / "trace.parquet")
+        with pytest.raises(DataError), pytest.warns(UserWarning, match="no checksums"):
+            read_run(here)
 
 
 # MCAP ---------------------------------------------------------------------------------------------

@@ -339,9 +339,12 @@ def save(options: Options, log: Log, content: dict[str, Any], out: Path) -> bool
     Returns:
         False after an interrupt.
     """
+    from lpvmpc.export.stored import sealed
+
     whole = log.meta["reason"] != "interrupted"
     with replacing(out, RESULTS) as new:
         log.write(new)
+        content = sealed(content, new)
         if options.export is not None:
             export(log, content, new, options.export)
         if whole and len(log) > 1:
