@@ -495,7 +495,7 @@ KILLED = """
 import sys
 from lpvmpc.commands import benchmark
 from lpvmpc.kit import cli
-from lpvmpc.leaderboard import grid, own_process, pictures
+from lpvmpc.leaderboard import grid, pictures
 bend = grid.Course(key="bend", scenario={file!r}, grip=0.5, stream=0)
 grid.COURSES.clear()
 grid.COURSES["bend"] = bend
