@@ -1,6 +1,8 @@
 """Adopting a car: options that are refused, stages that are not repeated."""
 
 import json
+import shutil
+from pathlib import Path
 
 import pytest
 
@@ -62,3 +64,17 @@ def test_stages_that_are_through_are_not_repeated(tmp_path, monkeypatch):
     assert "linear single track" in told
     assert set(json.loads((tmp_path / "car" / "adopt.json").read_text())["stages"]) == {
         "fit", "collect", "train", "tune", "drive"}
+
+
+@pytest.mark.slow
+def test_the_car_is_driven_in_each_world_and_each_draw_told(tmp_path, monkeypatch):
+    cars = Path(__file__).parent.parent / "cars"
+    out = Path(shutil.copytree(cars / "bmw-320i", tmp_path / "mine"))
+    monkeypatch.setattr(adopt, "SEEDS", {"ideal": (0,)})
+    with pytest.warns(UserWarning, match="No weights of lpv-mpc were tuned"):
+        told = adopt._drive(adopt.Options(jobs=1), out)
+    (run,) = told["runs"]["ideal"]
+    assert run["completed"] and run["lateral_rmse_m"] < 0.002
+    missed, rows = adopt._driven(told["runs"])
+    assert missed == [] and rows[0][:2] == ["ideal", "1 of 1"]
+    assert len(list((out / "runs").glob("*.json"))) == 1  # kept, for --resume

@@ -234,7 +234,7 @@ def _drive(options: Options, out: Path) -> dict[str, Any]:
     ]
     with driving(out), Bar("driving", len(runs), counted=True) as bar:
         driven = batch.drive_all(
-            runs, jobs=options.jobs or cli.cores(), cache=out / "runs",
+            runs, jobs=options.jobs or cli.cores(), cache=cli.writable_folder(out / "runs"),
             progress=lambda done, total: bar.at(done),
         )
     told = [{"seed": run.seed, "world": run.world, **{name: one[name] for name in (
