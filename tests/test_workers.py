@@ -1,9 +1,11 @@
 import os
 import signal
+import socket
 import subprocess
 import sys
 import textwrap
 import time
+from types import SimpleNamespace
 
 import pytest
 
@@ -130,6 +132,27 @@ def test_workers_end_with_a_parent_that_is_killed(tmp_path):
     while any(map(_runs, pids)):
         assert time.monotonic() < deadline
         time.sleep(0.05)
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1:{}", "ray://127.0.0.1:{}"])
+def test_a_cluster_where_nobody_listens_is_told_at_once(monkeypatch, address):
+    """Ray itself looks for minutes; it is asked only where somebody answers."""
+    asked = []
+    ray = SimpleNamespace(is_initialized=lambda: False, init=lambda **more: asked.append(more),
+                          shutdown=lambda: None, cluster_resources=dict,
+                          remote=lambda **_: lambda function: function)
+    monkeypatch.setitem(sys.modules, "ray", ray)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        here = address.format(server.getsockname()[1])
+        with workers(1, "ray", here):
+            assert [more["address"] for more in asked] == [here]
+    with (
+        pytest.raises(LPVMPCError, match=rf"^Ray at '{here}' cannot be reached: .*refused"),
+        workers(1, "ray", here),
+    ):
+        pass
+    with workers(1, "ray", "auto"):  # Ray's to find
+        assert len(asked) == 2
 
 
 def _runs(pid):

@@ -13,6 +13,7 @@ import atexit
 import os
 import pickle
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Iterator
@@ -197,6 +198,8 @@ class _Processes(Pool):
 
 RETRIES = 3
 """How often a thing is done again whose worker, or whose machine, has died."""
+ANSWERS = 10.0
+"""Longest time that the cluster's address may take to accept a connection [s]."""
 
 
 class _Ray(Pool):
@@ -277,6 +280,17 @@ def check(jobs: int, backend: str = "local", address: str | None = None) -> None
         raise OptionError("address", address, "left out unless the backend is 'ray'")
 
 
+def _listens(address: str) -> None:
+    """See that somebody listens where Ray is to be; Ray itself would look for minutes.
+
+    Raises:
+        OSError: Nobody does.
+    """
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if host and port.isdecimal():  # "auto" and the like are Ray's to find
+        socket.create_connection((host.strip("[]"), int(port)), timeout=ANSWERS).close()
+
+
 @contextmanager
 def _ray(address: str | None) -> Iterator[None]:
     """Ray started or reached."""
@@ -291,6 +305,8 @@ def _ray(address: str | None) -> Iterator[None]:
     if ours:
         told = signal.getsignal(signal.SIGTERM)
         try:
+            if address is not None:
+                _listens(address)
             ray.init(address=address, log_to_driver=False, include_dashboard=False)
         except Exception as error:  # Ray raises plain Exceptions too
             where = "cannot be started" if address is None else f"at {address!r} cannot be reached"
