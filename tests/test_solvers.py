@@ -1,6 +1,7 @@
 """The study of solvers: what it records, what it asks, and that no wrong answer passes."""
 
 import json
+import os
 import re
 from dataclasses import replace
 
@@ -10,6 +11,7 @@ import pytest
 from lpvmpc.control.solver.checked import SOLVERS, QPSolver
 from lpvmpc.errors import DataError, OptionError, UnknownNameError
 from lpvmpc.plant.plant import Plant
+from lpvmpc.reliability.damage import damaged
 from lpvmpc.sim.loop import simulate
 from lpvmpc.sim.names import load_controller, load_scenario
 from lpvmpc.solvers import report, study
@@ -61,6 +63,30 @@ def test_a_file_that_holds_no_programs_is_one_sentence(tmp_path):
                            ("other", "no array 'q'")):
         with pytest.raises(DataError, match=sentence):
             load(tmp_path / f"{name}.npz")
+
+
+def test_a_damaged_or_odd_file_is_refused_or_the_same(stream, tmp_path):
+    file = tmp_path / "lane.npz"
+    save(file, stream)
+    raw = file.read_bytes()
+    for i in range(60):
+        file.write_bytes(damaged(raw, np.random.default_rng(i)))
+        try:
+            again = load(file)
+        except DataError:
+            continue
+        for name, values in stream.arrays.items():  # each array of a zip has a checksum
+            np.testing.assert_array_equal(again.arrays[name], values)
+    os.mkfifo(tmp_path / "pipe.npz")
+    for odd in (tmp_path / "pipe.npz", "/dev/zero", tmp_path):
+        with pytest.raises(DataError, match="it is a|no file|directory"):
+            load(odd)
+    for name, value in (("P", np.eye(2)), ("P", stream.arrays["P"] * np.nan), ("soft", np.eye(2)),
+                        ("l", stream.arrays["l"][:2]), ("x0", np.array(["x"])),
+                        ("Bd", stream.arrays["Bd"][:, :3])):
+        save(file, replace(stream, arrays={**stream.arrays, name: value}))
+        with pytest.raises(DataError, match="is damaged"):
+            load(file)
 
 
 @pytest.mark.parametrize("tight", [False, True])

@@ -12,8 +12,11 @@ that says where they come from.
 
 from __future__ import annotations
 
+import io
 import json
 import os
+import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -24,7 +27,7 @@ import numpy.typing as npt
 
 from lpvmpc.control.solver.checked import QPResult, QPSolver
 from lpvmpc.errors import DataError, LPVMPCError
-from lpvmpc.kit.files import writing
+from lpvmpc.kit.files import read_bytes, writing
 from lpvmpc.plant.plant import Plant
 from lpvmpc.sim.loop import simulate
 from lpvmpc.sim.metrics import metrics
@@ -43,6 +46,11 @@ CONSTANTS = ("scale", "slack_weights")
 """What is the same in all periods."""
 SHAPE = ("soft", "soft_every", "n_rates")
 """Whole numbers that say how rows are made of states."""
+LARGEST = 2**30
+"""Most bytes of a file, and of what it unpacks to: a thousand programs take a twentieth."""
+DAMAGES = (OSError, ValueError, KeyError, EOFError, NotImplementedError, RuntimeError,
+           zipfile.BadZipFile, zlib.error)
+"""What reading a damaged file raises."""
 
 
 class QP(NamedTuple):
@@ -305,13 +313,42 @@ def load(file: str | os.PathLike[str]) -> Stream:
     """
     path = os.fspath(file)
     try:
-        with np.load(path, allow_pickle=False) as content:
+        raw = io.BytesIO(read_bytes(path, LARGEST))
+        with zipfile.ZipFile(raw) as parts:  # which may say that it unpacks to more than memory has
+            if sum(part.file_size for part in parts.infolist()) > LARGEST:
+                raise ValueError(f"it unpacks to more than {LARGEST // 2**20} MiB")
+        with np.load(raw, allow_pickle=False) as content:
             arrays = {name: content[name] for name in content.files}
         about = json.loads(str(arrays.pop("about")))
-    except (OSError, ValueError, KeyError, EOFError) as error:
-        why = " ".join(str(error).split())[:120]
+        if not isinstance(about, dict):
+            raise ValueError("its line on where they come from is no table")
+    except DAMAGES as error:
+        why = getattr(error, "strerror", None) or " ".join(str(error).split())[:120]
         raise DataError(f"The file {path!r} holds no programs that can be read: {why}.") from error
     lacking = [n for n in (*CONDENSED, *STAGES, *CONSTANTS, *SHAPE) if n not in arrays]
     if lacking:
         raise DataError(f"The file {path!r} holds no programs of a lap: no array {lacking[0]!r}.")
+    _check(path, arrays)
     return Stream(name=str(about.pop("name", "")), about=about, arrays=arrays)
+
+
+def _check(path: str, arrays: Mapping[str, Array]) -> None:
+    """Refuse arrays that are no programs: of the wrong kind or shape, or with NaN.
+
+    Raises:
+        DataError: Which of them it is.
+    """
+    count = {name: len(a) if a.ndim else 0 for name, a in arrays.items()}
+    wrong = [name for name, a in arrays.items() if a.dtype.kind not in "biuf" or np.isnan(a).any()]
+    wrong += [name for name in SHAPE if arrays[name].shape != ()]
+    wrong += [name for name in (*CONDENSED, *STAGES)
+              if count[name] != count["P"] or not count[name]]
+    if not wrong:
+        (n, m), nx = (arrays[name].shape[-1] for name in ("P", "l")), arrays["x0"].shape[-1]
+        N, nu = arrays["Bd"].shape[1:2], arrays["u_before"].shape[-1]
+        shapes = {"P": (n, n), "q": (n,), "A": (m, n), "l": (m,), "u": (m,), "Ad": (*N, nx, nx),
+                  "Bd": (*N, nx, nu), "cd": (*N, nx), "x_ref": (*N, nx), "q_x": (*N, nx)}
+        wrong = [name for name, shape in shapes.items() if arrays[name].shape[1:] != shape]
+    if wrong:
+        raise DataError(f"The file {path!r} holds no programs of a lap: its array {wrong[0]!r} is "
+                        "damaged.")
