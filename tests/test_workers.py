@@ -137,10 +137,11 @@ def test_workers_end_with_a_parent_that_is_killed(tmp_path):
 @pytest.mark.parametrize("address", ["127.0.0.1:{}", "ray://127.0.0.1:{}"])
 def test_a_cluster_where_nobody_listens_is_told_at_once(monkeypatch, address):
     """Ray itself looks for minutes; it is asked only where somebody answers."""
-    asked = []
+    asked, at_home = [], "127.0.0.2"
     ray = SimpleNamespace(is_initialized=lambda: False, init=lambda **more: asked.append(more),
                           shutdown=lambda: None, cluster_resources=dict,
-                          remote=lambda **_: lambda function: function)
+                          remote=lambda **_: lambda function: function,
+                          util=SimpleNamespace(get_node_ip_address=lambda: at_home))
     monkeypatch.setitem(sys.modules, "ray", ray)
     with socket.create_server(("127.0.0.1", 0)) as server:
         here = address.format(server.getsockname()[1])
@@ -153,6 +154,9 @@ def test_a_cluster_where_nobody_listens_is_told_at_once(monkeypatch, address):
         pass
     with workers(1, "ray", "auto"):  # Ray's to find
         assert len(asked) == 2
+    with socket.create_server((at_home, 0)) as server:  # Ray takes this machine by its own name
+        with workers(1, "ray", address.format(server.getsockname()[1])):
+            assert len(asked) == 3
 
 
 def _runs(pid):

@@ -286,9 +286,18 @@ def _listens(address: str) -> None:
     Raises:
         OSError: Nobody does.
     """
+    import ray
+
     host, _, port = address.removeprefix("ray://").rpartition(":")
-    if host and port.isdecimal():  # "auto" and the like are Ray's to find
+    if not (host and port.isdecimal()):  # "auto" and the like are Ray's to find
+        return
+    try:
         socket.create_connection((host.strip("[]"), int(port)), timeout=ANSWERS).close()
+    except OSError:
+        if host not in ("localhost", "127.0.0.1"):
+            raise
+        here = ray.util.get_node_ip_address()  # what Ray makes of them
+        socket.create_connection((here, int(port)), timeout=ANSWERS).close()
 
 
 @contextmanager
