@@ -105,6 +105,8 @@ def test_traffic_from_a_file(slalom, tmp_path):
         ("", DataError, "must hold 1 to 100 tables"),
         ("user = 3", DataError, "must hold 1 to 100 tables"),
         ("[[user", DataError, "is no TOML file"),
+        ('[[user]]\nname = "a"\ns = ' + "9" * 5000, DataError, "is no TOML file"),
+        ("a = " + "[" * 3000, DataError, "is no TOML file"),
     ],
 )
 def test_what_is_no_traffic_is_one_sentence(slalom, tmp_path, text, error, sentence):

@@ -1,4 +1,5 @@
 import json
+import os
 import tomllib
 
 import numpy as np
@@ -114,6 +115,8 @@ def test_searches_of_several_seeds_are_laid_side_by_side(run, road, tmp_path):
         (["s0", "other"], "population of other is 5, but must be that of s0, 4"),
         (["s0", "nowhere"], "nowhere/tuning.json cannot be read (No such file or directory)"),
         (["s0", "damaged"], "damaged/tuning.json is no JSON"),
+        (["s0", "deep"], "deep/tuning.json is no JSON"),
+        (["s0", "pipe"], "pipe/tuning.json cannot be read (it is a pipe, not a file)"),
         (["s0", "empty"], "empty/tuning.json holds no tuning: task, weights"),
     ],
 )
@@ -124,9 +127,11 @@ def test_what_is_no_spread_is_one_sentence(run, tmp_path, folders, sentence):
         (tmp_path / name).mkdir()
         whole = {"weights": {}, "cost": 1.0, "evaluations": 9, "on_bounds": [], "record": {}}
         (tmp_path / name / "tuning.json").write_text(json.dumps({**whole, "task": value}))
-    for name, text in (("damaged", "{"), ("empty", "{}")):
+    for name, text in (("damaged", "{"), ("empty", "{}"), ("deep", "[" * 9000)):
         (tmp_path / name).mkdir()
         (tmp_path / name / "tuning.json").write_text(text)
+    (tmp_path / "pipe").mkdir()
+    os.mkfifo(tmp_path / "pipe" / "tuning.json")  # reading it would wait without end
     code, _, err = run("--spread", *folders)
     assert code == 2 and sentence in err and err.count("\n") == 1
 

@@ -70,7 +70,8 @@ OUT_OF_RANGE: dict[str, str] = {
         --controller json:Nothing | --controller json:loads | --controller : | --controller os:
         --stiffness rigid | --world mars | --world none.toml | --estimator guess | --estimator x:Y
         --weights none.toml | --weights none.toml --controller json:JSONDecoder
-        --json /dev/null/x | --out /dev/null/x | --out /proc/x | --export bag""",
+        --json /dev/null/x | --out /dev/null/x | --out /proc/x | --export bag | --traffic tram
+        --traffic none.toml | --traffic /dev/zero | --detour""",
     "view": """empty-folder | empty-folder --html | none --html | --html | a b --html | roads --html
         empty-folder --speed 0 | empty-folder --speed nan --html | /dev/null --html""",
     "export": """empty-folder | none | a b | empty-folder --to bag | /dev/null | /proc
@@ -85,7 +86,7 @@ OUT_OF_RANGE: dict[str, str] = {
         --generations 0 | --generations 10001 | --population 1 | --population 3 | --jobs 0
         --jobs -1 | --seed -1 | --address x | --sphere --controller stanley | --sphere --jobs 2
         --sphere --resume | --resume --out empty-folder | --out /dev/null/x
-        --sphere --out /dev/null/x""",
+        --sphere --out /dev/null/x | --spread none | --spread none none | --spread /dev/zero x""",
     "collect": """--samples 0 | --samples -5 | --samples 1000000000 | --seed -1 | --jobs -1
         --jobs 1025 | --friction 0 | --friction 2 | --friction 1 0.5 | --friction 1 1 1
         --friction nan | --mass 0 | --mass 100 | --mass 2000 1500 | --mass nan | --out data.csv
@@ -102,6 +103,16 @@ OUT_OF_RANGE: dict[str, str] = {
     "fidelity": """astrology | straight astrology | --jobs -1 | --broken wheel
         --out /dev/null/x""",
     "reproduce": "--jobs -1 | --out /dev/null/x | --cache /dev/null/x",
+    "replay": """--recording none.csv | --recording /dev/zero | --recording /proc
+        --recording none.csv --fit wings | --fit-on none.csv | --save x | --study --out /dev/null/x
+        --recording none.csv --car none""",
+    "adopt": """none.csv | --out x | none.csv --out x | /dev/zero --out x
+        none.csv --out /dev/null/x
+        none.csv --out x --held-back nan | none.csv --out x --held-back 1
+        none.csv --out x --samples 5 | none.csv --out x --jobs -1 | none.csv --out x --fit wings
+        none.csv --out x --generations -1 | none.csv --out x --car none""",
+    "solvers": """--solvers nobody | --count 0 | --programs none | --programs /dev/zero
+        --programs /dev/null | --programs empty-folder | --keep /dev/null/x | --out /dev/null/x""",
     "speed": "--rounds 0 | --rounds 101 | --out /dev/null/x",
 }
 """Values outside their domain, and options that exclude each other; a | or a line's end parts

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import os
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path as FilePath
@@ -18,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from lpvmpc.errors import DataError, OptionError, UnknownNameError
-from lpvmpc.kit.files import read_bytes, readable
+from lpvmpc.kit.files import read_toml, readable
 from lpvmpc.road.path import Path
 from lpvmpc.road.scenario import Scenario
 from lpvmpc.traffic.boxes import Box
@@ -172,10 +171,10 @@ def load_traffic(name_or_file: str | os.PathLike[str], scenario: Scenario) -> Tr
 def _from_toml(file: FilePath) -> tuple[RoadUser, ...]:
     told = readable(file)
     try:
-        content = tomllib.loads(read_bytes(file).decode("utf-8"))
+        content = read_toml(file)
     except OSError as error:
         raise DataError(f"The traffic {told!r} cannot be read: {error.strerror}.") from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+    except ValueError as error:
         why = " ".join(str(error).split())
         raise DataError(f"The traffic {told!r} is no TOML file: {why}.") from error
     rows = content.get("user")

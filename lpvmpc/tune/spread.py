@@ -7,7 +7,6 @@ what the shipped weights cost in the same runs.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from typing import Any
 
 from lpvmpc.control.weights_file import as_dict
 from lpvmpc.errors import DataError, OptionError
-from lpvmpc.kit.files import replacing, write_json, write_text
+from lpvmpc.kit.files import read_json, replacing, write_json, write_text
 from lpvmpc.kit.markdown import markdown_table
 from lpvmpc.kit.provenance import commit, machine
 from lpvmpc.kit.report import record
@@ -107,12 +106,12 @@ def read(folders: Sequence[Path], jobs: int) -> Spread:
 def _read(folder: Path) -> dict[str, Any]:
     path = folder / "tuning.json"
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        found = read_json(path)
     except OSError as error:
         raise DataError(
             f"{path} cannot be read ({error.strerror}); --spread takes folders of finished tunings."
         ) from error
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise DataError(
             f"{path} is no JSON; --spread takes folders of finished tunings."
         ) from error
