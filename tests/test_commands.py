@@ -1,5 +1,6 @@
 """The command `lpvmpc NAME`, and the scripts that are the same."""
 
+import os
 import subprocess
 import sys
 from importlib import import_module
@@ -22,6 +23,15 @@ def said_by(*command, cwd):
     )
     assert answer.stderr == ""
     return answer.stdout
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")
+def test_help_that_a_full_disk_has_lost_is_told():
+    with open("/dev/full", "w") as full:
+        answer = subprocess.run([sys.executable, "-m", "lpvmpc", "--help"], stdout=full,
+                                stderr=subprocess.PIPE, text=True)
+    sentence = "Error: Cannot write to standard output: No space left on device.\n"
+    assert (answer.returncode, answer.stderr) == (2, sentence)
 
 
 @pytest.mark.parametrize("arguments", [[], ["--help"], ["-h"]])

@@ -56,8 +56,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     if not words or words[0] in ("-h", "--help"):
-        with lasting():
+        with lasting() as printed:
             print(_help())
+            printed.flush()
+            if printed.lost:
+                print(f"Error: Cannot write to standard output: {printed.lost}.", file=sys.stderr)
+                return 2
         return 0
     name = words[0]
     if name not in COMMANDS:
