@@ -150,9 +150,9 @@ class Plan:
 
 
 QUICK: Mapping[str, Any] = {
-    "courses": ("paper", "circuit-65", "double-lane-change", "slalom"), "seeds": 2,
-    "grips": (0.65, 0.96), "frictions": (1.0, 0.6), "winds": (0.0,), "wind_seeds": 1,
-    "slow_courses": ("double-lane-change", "slalom"), "slow_seeds": 1, "quick": True,
+    "courses": ("paper", "double-lane-change", "slalom"), "seeds": 2, "grips": (0.65, 0.96),
+    "frictions": (1.0, 0.6), "winds": (), "slow_courses": ("double-lane-change",),
+    "slow_seeds": 2, "quick": True,
 }
 """What differs in a quick look."""
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import html
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from lpvmpc.kit.report import finite, page_of
@@ -18,6 +18,8 @@ from lpvmpc.leaderboard.profiles import profiles
 from lpvmpc.leaderboard.score import Board, completed, effort, finished, reason
 from lpvmpc.leaderboard.tables import table
 
+OPEN = 8
+"""Sentences that are shown at once: who is better than us comes first, see `verdict.sentences`."""
 CUT = 1000.0
 """Largest factor of the best that the curves go to."""
 
@@ -38,8 +40,19 @@ def page(board: Board, values: Mapping[str, Any]) -> str:
         "ABOUT": html.escape(about),
         "QUICK": "<p class='note'>A quick look: a few runs, not the report.</p>"
         if record["plan"]["quick"] else "",
-        "SENTENCES": "\n".join(f"<li>{_marked(text)}</li>" for text in values["sentences"]),
+        "SENTENCES": _folded([_marked(text) for text in values["sentences"]]),
     })
+
+
+def _folded(sentences: Sequence[str]) -> str:
+    """Sentences as a list, those after the first `OPEN` behind a click."""
+    first, rest = ("\n".join(f"<li>{text}</li>" for text in part)
+                   for part in (sentences[:OPEN], sentences[OPEN:]))
+    shown = f"<ul class='verdict'>\n{first}\n</ul>"
+    if not rest:
+        return shown
+    more = f"<summary>{len(sentences) - OPEN} more sentences</summary>"
+    return f"{shown}\n<details>{more}\n<ul class='verdict'>\n{rest}\n</ul>\n</details>"
 
 
 def _marked(text: str) -> str:

@@ -14,8 +14,9 @@ from lpvmpc.picture import style as house
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-COLOURS = (*house.RUNS, house.GREY, "#000000", "#8C510A", "#762A83", "#35978F", "#B8E186")
-"""Colours of the controllers, in their order."""
+COLOURS = (*house.RUNS, house.GREY, "#000000", "#8C510A", "#762A83", "#35978F", "#B8E186",
+           "#E7298A", "#1F3A93", "#999900", "#C2A5CF", "#B2182B", "#4D4D00")
+"""Colours of the controllers, in their order; more of them than the package has controllers."""
 
 
 def pictures(board: Board) -> dict[str, Figure]:
@@ -140,7 +141,8 @@ def heat(board: Board) -> Figure:
         axes.set_xticks(range(len(grips)), [f"{100 * grip:.0f}" for grip in grips])
         axes.set_yticks(range(len(frictions)), [f"{friction:g}" for friction in frictions])
         axes.set_title(name)
-    for axes in grid[-1]:
+    for axes in grid.flat[max(len(names) - columns, 0) : len(names)]:  # the lowest of each column
+        axes.tick_params(labelbottom=True)
         axes.set_xlabel("grip [%]")
     for axes in grid[:, 0]:
         axes.set_ylabel("friction")

@@ -53,7 +53,8 @@ and no percentile or rank leaves them out; where a number is needed it is {charg
 - The score: the share of finished runs first, then the 95th percentile of the lateral RMSE over \
 the runs, then its median. The percentile is the RMSE of a run, the smallest that 95 % of all do \
 not exceed; "charged" where it falls on a charged run. Its interval (95 %) is that of order \
-statistics, that of the finished share Wilson's.
+statistics, open ("from") where the runs are too few to close it; that of the finished share is \
+Wilson's.
 - Controllers know the nominal car and nothing of what is drawn. Weights are those that the \
 package ships; see docs/results/tuning and the record in each weights file.
 - Effort is compared on the same runs alone, which everybody has completed who completed half.
@@ -162,10 +163,18 @@ def score_table(title: str, found: Sequence[Score]) -> str:
         body.append([
             f"`{s.controller}`", f"{s.finished} of {s.n}", f"{100 * low:.0f} to {100 * high:.0f} %",
             s.n - s.completed, s.completed - s.finished, mm(s.p95),
-            f"{mm(s.p95_interval[0])} to {mm(s.p95_interval[1])}", mm(s.median), mm(s.largest),
+            interval_text(s), mm(s.median), mm(s.largest),
             p50, p99, worst, "-" if s.late_share is None else f"{100 * s.late_share:.2g} %",
         ])
     return markdown_table(f"{title}: lateral errors", header, body)
+
+
+def interval_text(s: Score) -> str:
+    """The interval of the 95th percentile; open above where the runs are too few to close it."""
+    low, high = s.p95_interval
+    if math.isinf(high) and s.finished == s.n:
+        return f"from {mm(low)}"
+    return f"{mm(low)} to {mm(high)}" if math.isfinite(low) else mm(low)
 
 
 def _courses(board: Board) -> Iterable[str]:
