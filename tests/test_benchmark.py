@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from lpvmpc.commands import benchmark
-from lpvmpc.leaderboard import grid, page, pictures, report, tables
+from lpvmpc.leaderboard import grid, own_process, page, pictures, report, tables
 from lpvmpc.leaderboard.grid import COURSES, Plan, is_slow, planned, rows_of, run_of
 from lpvmpc.leaderboard.profiles import profiles
 from lpvmpc.leaderboard.score import Board, effort, ranking, score
@@ -495,7 +495,7 @@ KILLED = """
 import sys
 from lpvmpc.commands import benchmark
 from lpvmpc.kit import cli
-from lpvmpc.leaderboard import grid, pictures
+from lpvmpc.leaderboard import grid, own_process, pictures
 bend = grid.Course(key="bend", scenario={file!r}, grip=0.5, stream=0)
 grid.COURSES.clear()
 grid.COURSES["bend"] = bend
@@ -525,6 +525,33 @@ def test_a_benchmark_that_was_killed_goes_on_to_the_same_bytes(short, tmp_path):
     subprocess.run(command("killed", "--resume"), check=True, timeout=300)
     whole, killed = (tmp_path / name / "benchmark-rows.parquet" for name in ("whole", "killed"))
     assert killed.read_bytes() == whole.read_bytes()
+
+
+def test_a_class_that_hangs_at_every_start_does_not_cost_two_minutes_a_run(
+    short, monkeypatch, tmp_path
+):
+    late = "Controller 'mine:A' did not return from command within 120 s at t = 0.000 s"
+    driven = []
+
+    def outcome(item):
+        driven.append(item[1].controller)
+        hangs = item[1].controller == "mine:A" or item[1].seed < 2
+        reason = f"{late} (first_timeout)." if hangs else "end"
+        return item[0], batch.charged(item[1], reason)
+
+    monkeypatch.setattr(own_process, "outcome", outcome)
+    always = [Run(scenario=short, controller="mine:A", seed=i) for i in range(5)]
+    results = own_process.drive_all(always, jobs=1, cache=tmp_path)
+    assert driven == ["mine:A"] * 2 and results == [
+        batch.charged(run, f"{late} (first_timeout).") for run in always]
+    assert own_process.drive_all(always, jobs=1, cache=tmp_path) == results
+    (again,) = own_process.drive_all([Run(scenario=short, controller="mine:A", seed=9)],
+                                     jobs=1)  # what is not known is tried
+    assert len(driven) == 3 and not again["completed"]
+    driven.clear()  # who has started once is driven to the end
+    sometimes = [Run(scenario=short, controller="mine:B", seed=i) for i in (5, 0, 1, 6)]
+    own_process.drive_all(sometimes, jobs=1)
+    assert len(driven) == 4
 
 
 assert benchmark.NAME == COMMAND
