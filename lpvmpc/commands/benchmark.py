@@ -149,8 +149,8 @@ def plan_of(options: Options) -> tuple[Plan, dict[str, str]]:
         for name in options.controllers:
             if options.controllers.count(name) > 1:
                 raise OptionError("--controllers", " ".join(options.controllers), "each name once")
-            module = name.partition(":")[0]
-            if name not in CONTROLLERS and not (":" in name and file_of(module) is not None):
+            module, _, made = name.partition(":")
+            if name not in CONTROLLERS and not (made and file_of(module) is not None):
                 raise UnknownNameError("controller", name, [*CONTROLLERS, "module:Class"])
         names = [name for name in options.controllers if name not in lacking]
         lacking = {name: lacking[name] for name in options.controllers if name in lacking}

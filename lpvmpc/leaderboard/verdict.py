@@ -118,7 +118,7 @@ def _leaders(board: Board) -> Iterable[tuple[str, str]]:
         if board.slow and board.full and common:
             first, second = ranking(board, common, board.controllers)[:2]
             yield first.controller, (
-                f"On the {len(common)} runs of `{world}` that the slow controllers have driven "
+                f"On the {counted(len(common))} of `{world}` that the slow controllers have driven "
                 f"too, `{first.controller}` leads ({score_text(first)}), before "
                 f"`{second.controller}` ({score_text(second)})."
             )
@@ -241,6 +241,11 @@ def mm(value: float) -> str:
     value *= 1e3
     digits = 2 if value < 10.0 else 1 if value < 100.0 else 0
     return f"{value:.{digits}f} mm"
+
+
+def counted(n: int) -> str:
+    """A number of runs in words."""
+    return "one run" if n == 1 else f"{n} runs"
 
 
 def times(ratio: float) -> str:
