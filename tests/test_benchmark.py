@@ -424,6 +424,20 @@ def test_an_interrupted_benchmark_says_how_to_go_on(run, short, monkeypatch):
     assert (code, err) == (130, "Interrupted; --resume goes on from here.\n")
 
 
+@pytest.mark.parametrize("slow_us", [186.0, 15_000.0])
+def test_step_times_in_the_picture_are_few_and_plain(slow_us):
+    board, _ = made_up({"lpv-mpc": 1.0, "stanley": 2.0}, seeds=1, courses=("paper",))
+    for row in board.rows:
+        step = 22.0 if row.controller == "stanley" else slow_us
+        row.result["step_time_us"].update(mean=step, p50=step, p99=step, max=step)
+    figure = pictures.pareto(board)
+    figure.canvas.draw()
+    axis = figure.axes[0].xaxis
+    shown = [t.get_text() for t in axis.get_ticklabels() if t.get_text()]
+    assert {"100"} < set(shown) and len(shown) <= 9 and all(map(float, shown))
+    assert not any(t.get_text() for t in axis.get_ticklabels(minor=True))
+
+
 def test_pictures_can_be_drawn():
     board, _ = made_up({"lpv-mpc": 1.0, "stanley": lambda c: result(lost="hit" if c.seed % 2
                         else "")}, seeds=1, courses=("paper",))

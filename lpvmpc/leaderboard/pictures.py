@@ -60,6 +60,8 @@ def profile_curves(board: Board) -> Figure:
 @house.styled
 def pareto(board: Board) -> Figure:
     """95th percentile of the error against the median step time, with intervals."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
     worlds = board.worlds()
     figure = house.blank(house.DOUBLE, 2.7)
     grid = figure.subplots(1, len(worlds), sharex=True, sharey=True, squeeze=False)[0]
@@ -73,6 +75,12 @@ def pareto(board: Board) -> Figure:
         axes.set_xscale("log")
         axes.set_yscale("log")
         house.label(axes, "step p50 [us]", "", world)
+    left, right = grid[0].get_xlim()
+    steps = (1.0, 2.0, 5.0) if right < 50.0 * left else (1.0,)  # labels must not touch
+    for axes in grid:
+        axes.xaxis.set_major_locator(LogLocator(subs=steps))
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.xaxis.set_minor_formatter(NullFormatter())
     grid[0].set_ylabel("RMSE, 95th percentile [mm]")
     marks: dict[str, Any] = {}
     for axes in grid:
