@@ -8,8 +8,8 @@ from lpvmpc import Plant, load_controller, load_scenario, metrics, simulate
 from lpvmpc.control.rivals import observation, ppo
 from lpvmpc.errors import ControllerError, DataError, LPVMPCError
 from lpvmpc.gym import card
-from lpvmpc.gym.learn import Recipe, learn, save
-from lpvmpc.kit import safetensors
+from lpvmpc.gym.learn import Options, Recipe, learn, main, save
+from lpvmpc.kit import cli, safetensors
 from lpvmpc.plant.mjcf import packaged_car
 from lpvmpc.tune.stated import stated
 
@@ -99,3 +99,12 @@ def test_training_repeats_from_its_seed(tmp_path):
 def test_what_is_missing_is_named():
     with pytest.raises(LPVMPCError, match="lpvmpc\\[rl\\]"):
         learn(Recipe())
+
+
+def test_two_that_learn_into_one_file_are_told_apart(tmp_path, monkeypatch, capsys):
+    fcntl = pytest.importorskip("fcntl")
+    monkeypatch.setattr("lpvmpc.gym.learn.learn", lambda *_: pytest.fail("it learned"))
+    with open(tmp_path / ".p.safetensors.lock", "w") as other:
+        fcntl.flock(other, fcntl.LOCK_EX)
+        code = cli.run(Options, main, ["--out", str(tmp_path / "p.safetensors")])
+    assert code == 2 and capsys.readouterr().err.startswith("Error: Another run")

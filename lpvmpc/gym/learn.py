@@ -162,7 +162,7 @@ def main(options: Options) -> int:
     cli.check_number("--jobs", options.jobs, 0, 10_000)
     if options.card:
         return show_card(options)
-    cli.writable_folder(options.out.parent)
+    cli.results_folder(options.out.parent, options.out.name)
 
     def say(periods: int, reward: float, minutes: float) -> None:
         if sys.stderr.isatty():
