@@ -66,6 +66,13 @@ def test_a_command_without_its_streams_says_no_more_than_that(closed, code):
     assert said[-1] == str(code) and len(said) == 1 + (code == 2) and "Traceback" not in said[0]
 
 
+def test_help_of_a_command_that_a_full_disk_has_lost_is_told():
+    line = f"{sys.executable} -m lpvmpc track --help > /dev/full"
+    done = subprocess.run(["bash", "-c", line], capture_output=True, text=True)
+    assert done.returncode == 2
+    assert done.stderr == "Error: Cannot write to standard output: No space left on device.\n"
+
+
 # Signals ------------------------------------------------------------------------------------------
 
 WAITS = """

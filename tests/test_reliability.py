@@ -72,7 +72,9 @@ def test_every_kind_of_failure_is_counted_and_named():
     assert [f.ok for f in section.findings] == [False, False, False]
     assert len(section.faults) == 2 and "spun" in section.faults[0]
     assert "raised: ValueError" in section.faults[1] and "random-4" in section.faults[1]
-    text = report.report([section], quick=True, jobs=1)
+    assert "Not tried" not in report.report([section], quick=True, jobs=1)
+    text = report.report([section], quick=True, jobs=1, left_out=["kills", "qps"])
+    assert "Not tried in this report: kills, qps." in text
     assert "0 of 3 are met" in text and "random-3 in fleet" in text
     assert "2 of 5 random runs did not complete (1 spun, 1 raised)" in text
     assert "all together for 0.0 h" in text and driven.seconds == (12.0, 48.0)

@@ -108,3 +108,19 @@ def test_two_that_learn_into_one_file_are_told_apart(tmp_path, monkeypatch, caps
         fcntl.flock(other, fcntl.LOCK_EX)
         code = cli.run(Options, main, ["--out", str(tmp_path / "p.safetensors")])
     assert code == 2 and capsys.readouterr().err.startswith("Error: Another run")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--policy", "p.safetensors"], "--policy is 'p.safetensors', but must be left out"),
+        (["--card", "--policy", "none.safetensors"], "There is no file 'none.safetensors'"),
+        (["--card", "--policy", "p.safetensors"], "p.safetensors holds no curve of a training"),
+    ],
+)
+def test_what_has_no_card_is_one_sentence(tmp_path, monkeypatch, capsys, arguments, sentence):
+    monkeypatch.chdir(tmp_path)
+    policy(tmp_path / "p.safetensors")
+    assert cli.run(Options, main, arguments) == 2
+    err = capsys.readouterr().err
+    assert sentence in err and err.count("\n") == 1

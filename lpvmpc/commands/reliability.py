@@ -94,7 +94,8 @@ def main(options: Options) -> int:
     files = write_report(
         out,
         NAME,
-        text=report.report(sections, quick=options.quick, jobs=jobs),
+        text=report.report(sections, quick=options.quick, jobs=jobs,
+                           left_out=[part for part in PARTS if part not in parts]),
         table=report.as_csv(sections),
         values=report.as_json(sections, quick=options.quick, jobs=jobs),
         copy=options.json,

@@ -1,6 +1,7 @@
 """The card of a learned driver: how it was trained, and what it does and does not drive.
 
     python eval/learn.py --card
+    python eval/learn.py --card --policy runs/ppo.safetensors
 
 Its roads and seeds were in no training: training drives random roads alone, with seeds below 50000.
 """

@@ -24,7 +24,7 @@ import numpy as np
 
 from lpvmpc.control.rivals.observation import SCALES
 from lpvmpc.control.rivals.ppo import names
-from lpvmpc.errors import LPVMPCError
+from lpvmpc.errors import DataError, LPVMPCError, OptionError
 from lpvmpc.gym.cars import Setting
 from lpvmpc.gym.track_vec import TrackVecEnv
 from lpvmpc.kit import cli, safetensors
@@ -148,8 +148,10 @@ class Options:
     out: Path = Path("runs/ppo.safetensors")
     """File for the policy; its controller takes it as `file`."""
     card: bool = False
-    """Drive the shipped policy, or that of --out, on roads of no training, and write its card into
-    docs/results instead of learning."""
+    """Drive the shipped policy on roads of no training, and write its card into docs/results,
+    instead of learning."""
+    policy: Path | None = None
+    """With --card, drive this file in place of the shipped policy; the card goes beside it."""
     jobs: int = 0
     """Processes that drive for the card (0: one per core)."""
 
@@ -162,6 +164,8 @@ def main(options: Options) -> int:
     cli.check_number("--jobs", options.jobs, 0, 10_000)
     if options.card:
         return show_card(options)
+    if options.policy is not None:
+        raise OptionError("--policy", str(options.policy), "left out without --card")
     cli.results_folder(options.out.parent, options.out.name)
 
     def say(periods: int, reward: float, minutes: float) -> None:
@@ -185,9 +189,11 @@ def show_card(options: Options) -> int:
     from lpvmpc.control.rivals.ppo import SHIPPED
     from lpvmpc.gym import card
 
-    file = SHIPPED if options.out == Options.out else options.out
-    folder = cli.results_folder(Path("docs/results"), "ppo")
-    safetensors.read(file)  # what is missing is told before anything is driven
+    file = options.policy or SHIPPED
+    folder = Path("docs/results") if options.policy is None else file.parent
+    if "curve" not in safetensors.read(file)[0]:  # told before anything is driven
+        raise DataError(f"{file} holds no curve of a training, as eval/learn.py writes it.")
+    folder = cli.results_folder(folder, "ppo")
     cases = card.drive(file, options.jobs or cli.cores())
     files = card.save(file, cases, folder)
     print("\n".join(card.sentences(cases)))

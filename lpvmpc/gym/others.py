@@ -77,8 +77,8 @@ class Others:
         path, nearest = traffic.path, np.inf
         middle = s + 0.5 * (self.car.lf - self.car.lr)
         for user in traffic.users:
-            self.gap[i] = min(self.gap[i], gap(own, traffic.box(user, t)))
             place = traffic.place(user, t)
+            self.gap[i] = min(self.gap[i], gap(own, traffic.box_at(user, place)))
             ahead = place - middle
             if path.closed:
                 ahead = (ahead + 0.5 * path.length) % path.length - 0.5 * path.length

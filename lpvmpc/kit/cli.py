@@ -87,6 +87,11 @@ def _run(
             raise
     except KeyboardInterrupt:
         code = _interrupted()
+    except SystemExit as ended:
+        printed.flush()
+        if ended.code or not printed.lost:
+            raise
+        code = DONE  # the help, which a full disk has lost
     if code == INTERRUPTED:
         # where Ctrl-C has struck in compiled code that called Python, Python would end by SIGINT in
         # place of this exit code; a call of that kind that returns makes it forget

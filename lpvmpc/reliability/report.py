@@ -239,14 +239,19 @@ def qps_section(found: Mapping[str, Any]) -> Section:
     )
 
 
-def report(sections: Sequence[Section], *, quick: bool, jobs: int) -> str:
-    """The whole report as Markdown."""
+def report(
+    sections: Sequence[Section], *, quick: bool, jobs: int, left_out: Sequence[str] = ()
+) -> str:
+    """The whole report as Markdown, beginning with what does not hold and what was left out."""
     found = [finding for section in sections for finding in section.findings]
     lines = [
         "# What happens when things go wrong", "",
         f"Written by `lpvmpc reliability{' --quick' if quick else ''}` on {machine()}, "
         f"{at_a_time(jobs)}. {versions_line()}", "",
-        " ".join([promises_sentence(found), *(f"{s.not_held}." for s in sections if s.not_held)]),
+        " ".join([
+            promises_sentence(found), *(f"{s.not_held}." for s in sections if s.not_held),
+            *([f"Not tried in this report: {', '.join(left_out)}."] if left_out else []),
+        ]),
         "",
         promises_table("Promises", found, "{:.0f}".format),
     ]

@@ -39,8 +39,8 @@ SHORTEST = 15.0
 """Shortest change of the shift [m]."""
 GRIP = 0.8
 """Share of the car's grip for the speed of a detour on a road whose speed is given."""
-PEAK = 5.7735
-"""Largest second derivative of the polynomial, 10 / sqrt(3)."""
+PEAK = 10.0 / math.sqrt(3.0)
+"""Largest second derivative of the polynomial."""
 
 
 def detour(scenario: Scenario, traffic: Traffic, car: VehicleParams) -> Scenario:

@@ -102,7 +102,11 @@ class Traffic:
 
     def box(self, user: RoadUser, t: float) -> Box:
         """Where a user is at a time [s]."""
-        x, y, psi, _ = (float(value) for value in self.path.at(self.place(user, t)))
+        return self.box_at(user, self.place(user, t))
+
+    def box_at(self, user: RoadUser, s: float) -> Box:
+        """Where a user is when its place along the path is s [m]."""
+        x, y, psi, _ = (float(value) for value in self.path.at(s))
         return Box(x - user.ey * math.sin(psi), y + user.ey * math.cos(psi), psi,
                    user.length, user.width)
 

@@ -40,9 +40,9 @@ class Watch:
         """
         own, touched = footprint(self.car, x, y, psi), ""
         for i, user in enumerate(self.traffic.users):
-            box = self.traffic.box(user, t)
-            room = gap(own, box)
             s = self.traffic.place(user, t)
+            box = self.traffic.box_at(user, s)
+            room = gap(own, box)
             self.record[row, i] = box.x, box.y, box.psi, s, room
             touched = touched or (user.name if room <= 0.0 else "")
         return touched
