@@ -96,6 +96,15 @@ def test_a_stiffness_model_drives_with_all_its_options(monkeypatch):
     assert all(run.controller_options == softer.options for run in asked)
 
 
+def test_models_drive_the_first_of_the_seeds():
+    plan = GridPlan(seeds=100, model_seeds=20)
+    cells = [c for c in CELLS["adaptation"](plan) if c.case == "fleet" and c.road == "paper"]
+    for model in worlds.MODELS:
+        seeds = [cell.seed for cell in cells if cell.model == model]
+        assert seeds == list(range(FIRST_SEED, FIRST_SEED + 20))
+    assert len(CELLS["worlds"](plan)) > 8000
+
+
 def test_all_worlds_and_shipped_controllers_are_driven_with_the_same_seeds():
     cells = CELLS["worlds"](GridPlan(seeds=20))
     assert {cell.case for cell in cells} == {*WORLDS, "combined"}

@@ -216,6 +216,8 @@ class GridPlan:
     """Who drives: names of the package or module:Class."""
     seeds: int = 100
     """Seeds of each sampled world."""
+    model_seeds: int = 20
+    """The first so many of them are driven with each stiffness model."""
     roads: tuple[str, ...] = tuple(ROADS)
     """Keys of the roads that are kept."""
     margin_steps: int = 8
@@ -228,6 +230,10 @@ class GridPlan:
     def seeds_of(self, world: Sampled) -> range:
         """The seeds of a world."""
         return range(FIRST_SEED, FIRST_SEED + min(self.seeds, world.most_seeds))
+
+    def seeds_of_models(self, world: Sampled) -> range:
+        """The seeds of a world that are driven with each stiffness model."""
+        return self.seeds_of(world)[: self.model_seeds]
 
 
 QUICK = {"seeds": 4, "roads": ("paper", "circuit-65"), "margin_steps": 4, "margin_halvings": 1,
@@ -290,13 +296,13 @@ def world_cells(plan: GridPlan) -> list[Cell]:
 
 
 def adaptation_cells(plan: GridPlan) -> list[Cell]:
-    """`lpv-mpc` with each stiffness model, in the worlds and with the seeds of `world_cells`."""
+    """`lpv-mpc` with each stiffness model, in the worlds of `world_cells`, on their first seeds."""
     return [
         Cell(part="adaptation", case=key, road=road, controller=OURS, model=model, seed=seed)
         for key in ADAPTED
         for road in ADAPTED_ROADS if road in plan.roads
         for model in MODELS
-        for seed in plan.seeds_of(SAMPLED[key])
+        for seed in plan.seeds_of_models(SAMPLED[key])
     ]
 
 

@@ -83,8 +83,8 @@ def report(found: Found, *, jobs: int, pictures: Sequence[str]) -> str:
         "",
         f"Machine: {machine()}; {at_a_time(jobs)}.",
         versions_line(),
-        f"Seeds: {FIRST_SEED} to {last} in the sampled worlds, the same for every controller and "
-        f"model; tuning uses seeds below {TUNING_SEEDS}, so none of these. {len(rows)} runs.",
+        f"Seeds: {FIRST_SEED} to {last} in the sampled worlds, the same for every controller; "
+        f"tuning uses seeds below {TUNING_SEEDS}, so none of these. {len(rows)} runs.",
         *([f"Not driven yet: {', '.join(missing)}."] if missing else []),
         "",
         DEFINITIONS.format(weights=weights(), origins=origins(SHIPPED), off=OFF,
@@ -269,7 +269,9 @@ def _adaptation(found: Found, pictures: Sequence[str]) -> Iterable[str]:
     if "adaptation" not in found.rows:
         return
     yield "## What adapting the stiffness is worth there\n"
-    yield f"`{OURS}` with each stiffness model, one set of weights, the seeds of above:\n"
+    seeds = min(found.plan.seeds, found.plan.model_seeds)
+    yield (f"`{OURS}` with each stiffness model, one set of weights, the first {seeds} of the "
+           "seeds above:\n")
     yield "\n".join(f"- `{name}`: {model.about}." for name, model in MODELS.items()) + "\n"
     for key in dict.fromkeys(s.cell.case for s in found.adaptation):
         here = [s for s in found.adaptation if s.cell.case == key]
