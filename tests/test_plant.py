@@ -1,4 +1,5 @@
 import math
+from collections import OrderedDict
 
 import mujoco
 import numpy as np
@@ -6,7 +7,8 @@ import pytest
 
 from lpvmpc.errors import LPVMPCError, ModelError, OptionError
 from lpvmpc.interface import Command
-from lpvmpc.plant import callbacks
+from lpvmpc.plant import callbacks, trim
+from lpvmpc.plant.deviations import Deviations
 from lpvmpc.plant.plant import Plant
 from lpvmpc.studies import straight
 from lpvmpc.studies.parts import steering
@@ -167,6 +169,41 @@ def test_a_trimmed_start_is_steady(car, vx, kappa, wind):
         end = drive(car, 0.5, command, wind)
         # 1e-7 m/s over half a second is far below a micrometre
         assert (end.vx, end.vy, end.r) == pytest.approx((start.vx, start.vy, start.r), abs=1e-6)
+
+
+def test_a_steady_state_is_settled_once_and_found_again_to_the_bit(monkeypatch):
+    """What is kept is asked for by every number: another grip, car or slope settles anew."""
+    settle, settled = trim.settle, []
+
+    def counting(*arguments, **options):
+        settled.append(1)
+        settle(*arguments, **options)
+
+    monkeypatch.setattr(trim, "settle", counting)
+    monkeypatch.setattr(trim, "_kept", OrderedDict())
+
+    def start(friction=1.0, slope=(0.0, 0.0), **more):
+        plant = Plant()
+        plant.friction = friction
+        plant.tilt(*slope, 0.3)
+        if more:
+            plant.deviations = Deviations(**more)
+        begun = len(settled)
+        plant.reset(3.0, 4.0, 0.3, 15.0, kappa=0.01, wind=(1.0, -6.0), align="course")
+        held = plant.held
+        plant.step(held, (1.0, -6.0))
+        return len(settled) - begun, (held, plant.save().state.tobytes(), plant.wheels[0].tobytes())
+
+    cases = [{}, {"friction": 0.8}, {"slope": (0.03, -0.02)}, {"mass": 1.1}]
+    first, again = ([start(**case) for case in cases] for _ in range(2))
+    assert [count for count, _ in first] == [1, 1, 1, 1]
+    assert [count for count, _ in again] == [0, 0, 0, 0]
+    assert [state for _, state in first] == [state for _, state in again]
+    assert len({state for _, state in first}) == 4
+    monkeypatch.setattr(trim, "MOST_KEPT", 2)
+    start(friction=0.5)
+    assert len(trim._kept) == 2
+    assert start(friction=0.5)[0] == 0
 
 
 def test_a_start_can_be_aligned_with_the_course(car):

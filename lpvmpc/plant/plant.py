@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path as FilePath
 
 import mujoco
@@ -33,10 +33,8 @@ from lpvmpc.plant.rollout import (
     friction_scale,
     rollout,
 )
-from lpvmpc.plant.trim import gravity, place, settle
+from lpvmpc.plant.trim import INTEGRATION_STATE, gravity, place, settled
 from lpvmpc.units import Array
-
-INTEGRATION_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
 class Plant:
@@ -241,7 +239,7 @@ class Plant:
         if trim:
             c, s = math.cos(psi), math.sin(psi)
             relative = c * wind[0] + s * wind[1], c * wind[1] - s * wind[0]
-            settle(
+            settled(
                 self.model, d, self._actual, self._layout, vx, kappa, relative,
                 self._tilt, course=course,
             )
@@ -271,17 +269,26 @@ class Plant:
         Raises:
             LPVMPCError: the command is not finite, or the simulation has diverged.
         """
+        for steps in self.segments(command, wind):
+            mujoco.mj_step(self.model, self.data, nstep=steps)
+        return self.state
+
+    def segments(self, command: Command, wind: tuple[float, float] = (0.0, 0.0)) -> Iterator[int]:
+        """Give the car what `step` gives it, with its errors; the caller does the physics.
+
+        Yields:
+            Physics steps to take before the next piece of the period; `nstep` in all.
+        """
         ctrl = self.data.ctrl
         ctrl[STEER], ctrl[DRIVE] = command
         ctrl[WIND_X], ctrl[WIND_Y] = wind
         if not np.isfinite(ctrl).all():
             raise LPVMPCError(f"A command or wind is not finite: {command}, wind {tuple(wind)}.")
         if self._actuation is None:
-            mujoco.mj_step(self.model, self.data, nstep=self.nstep)
-            return self.state
+            yield self.nstep
+            return
         for steps, ctrl[STEER], ctrl[DRIVE] in self._actuation.segments(command, self.nstep):
-            mujoco.mj_step(self.model, self.data, nstep=steps)
-        return self.state
+            yield steps
 
     # --- outputs ---
 
@@ -381,8 +388,7 @@ class Plant:
         if self._actuation is not None:
             raise LPVMPCError(
                 "Plant.rollout gives commands straight to servo and drive, but this plant has a "
-                "latency or deviations between them; step it instead."
-            )
+                "latency or deviations between them; step it instead.")
         return rollout(
             self.model, self.nstep, self._layout, snapshots, commands, wind, friction, threads
         )

@@ -1,15 +1,19 @@
 """Steady states of the plant: driving straight or on a circle, in wind."""
 
 import math
+from collections import OrderedDict
 
 import mujoco
 import numpy as np
 
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.errors import OptionError
+from lpvmpc.kit.provenance import model_sha256
 from lpvmpc.plant.motion import PITCH, PSI, ROLL, VX, VY, R, planar_motion
 from lpvmpc.units import GRAVITY, Array
 
+INTEGRATION_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+"""What of MuJoCo's state decides a simulation's future."""
 PERIOD = 0.01
 """Time between two corrections while the car settles [s]."""
 TIME_MAX = 25.0
@@ -23,6 +27,44 @@ TOLERANCE_END = 1e-4
 """What must hold at TIME_MAX for a slow state (near the limit of grip) still to count."""
 VX_STANDING = 0.1
 """Below this speed the car stands on its brakes [m/s]."""
+MOST_KEPT = 512
+"""Steady states that are kept for the next time; 1.3 kB each."""
+_kept: OrderedDict[tuple[object, ...], Array] = OrderedDict()
+"""Steady states of this process by all that decides them, the last used last."""
+
+
+def settled(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    car: VehicleParams,
+    layout: tuple[Array, Array],
+    vx: float,
+    kappa: float,
+    wind: tuple[float, float],
+    tilt: tuple[float, float] = (0.0, 0.0),
+    *,
+    course: bool,
+) -> None:
+    """What `settle` does, to the bit; the second time at once.
+
+    A search or a benchmark begins the same run over and over, and settling takes as long as driving
+    six seconds of it. What is kept is found by every number of the model and of the state.
+
+    Args and errors: as `settle`.
+    """
+    size = mujoco.mj_stateSize(model, INTEGRATION_STATE)
+    start, end = np.empty(size), np.empty(size)
+    mujoco.mj_getState(model, data, start, INTEGRATION_STATE)
+    key = model_sha256(model), start.tobytes(), vx, kappa, wind, tilt, course
+    if key in _kept:
+        _kept.move_to_end(key)
+        mujoco.mj_setState(model, data, _kept[key], INTEGRATION_STATE)
+        return
+    settle(model, data, car, layout, vx, kappa, wind, tilt, course=course)
+    mujoco.mj_getState(model, data, end, INTEGRATION_STATE)
+    _kept[key] = end
+    while len(_kept) > MOST_KEPT:
+        _kept.popitem(last=False)
 
 
 def settle(
