@@ -208,22 +208,24 @@ def drive(
     """
     if controller is None:
         controller = load_controller(run.controller, **run.controller_options)
-    return simulate(
-        _plant(),
-        controller,
-        scenario_of(run),
-        seed=run.seed,
-        laps=run.laps,
-        start_offset=run.start_offset,
-        delay=run.delay,
-        world=run.world,
-        estimator=run.estimator,
-        latency=run.latency,
-        deviations=deviations.named(run.deviations) if run.deviations else None,
-        step_timeout=step_timeout,
-        name=run.controller,
-        options={"road": run.road},
-    )
+    told = arguments(run)
+    return simulate(_plant(), controller, scenario_of(run), step_timeout=step_timeout, **told)
+
+
+def arguments(run: Run) -> dict[str, Any]:
+    """What `simulate` is told of a run, besides car, controller and scenario."""
+    return {
+        "seed": run.seed,
+        "laps": run.laps,
+        "start_offset": run.start_offset,
+        "delay": run.delay,
+        "world": run.world,
+        "estimator": run.estimator,
+        "latency": run.latency,
+        "deviations": deviations.named(run.deviations) if run.deviations else None,
+        "name": run.controller,
+        "options": {"road": run.road},
+    }
 
 
 def scenario_of(run: Run) -> Scenario:
