@@ -5,9 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from lpvmpc.bench import speed, speed_processes
+from lpvmpc.bench import speed, speed_processes, speed_together
 from lpvmpc.bench.speed import Figure
+from lpvmpc.commands import speed as speed_command
+from lpvmpc.commands.parts import search_time
 from lpvmpc.errors import RenderError
+from lpvmpc.kit.cli import cores
 from lpvmpc.plant import callbacks
 from lpvmpc.plant.plant import Plant
 
@@ -20,6 +23,7 @@ def short(monkeypatch):
     start = [Figure(key="help_s", text="help", unit="s", rounds=(2.0,), limit=1.5)]
     monkeypatch.setattr(speed_processes, "measure_start", lambda *a: start)
     monkeypatch.setattr(speed_processes, "measure_rollouts", lambda *a, **k: [])
+    monkeypatch.setattr(speed_together, "measure_together", lambda *a, **k: [])
 
     def no_picture(*arguments):
         raise RenderError("no OpenGL")
@@ -95,6 +99,35 @@ def test_the_calibration_runs_two_processes(monkeypatch):
     assert named["rollout_1_realtime_factor"] > 1.0
     # Between far less than one core (others are busy) and somewhat more than two (noise).
     assert 0.02 < named["two_process_scaling"] < 4.0
+
+
+def test_many_closed_loops_are_driven_both_ways():
+    figures = speed_together.measure_together(180.0, rounds=1, cars=(1, 2), laps=2)
+    named = {f.key: f.value for f in figures}
+    assert named["laps_2_threads"] == pytest.approx(2.0 * named["laps_2_threads_per_core"])
+    ratio = named["laps_2_threads"] / named["laps_2_processes"]
+    assert named["side_by_side_ratio"] == pytest.approx(ratio)
+    # Physics is a part of a lap, so one more thread for it alone gains less than a core; how long a
+    # lap takes on a busy machine is no matter of this test, its CPU time is not 10 s.
+    assert 0.1 < named["physics_share"] < 0.9
+    assert named["side_by_side_bound"] == pytest.approx(1.0 / (1.0 - named["physics_share"] / 2))
+    assert named["side_by_side_bound"] < named["overlap_bound"] <= 2.0
+    assert named["laps_1_cars_per_cpu_min"] > 6.0 and named["laps_2_cars_per_cpu_min"] > 6.0
+
+
+def test_a_search_is_timed_where_it_is_asked_for(run, short, monkeypatch):
+    monkeypatch.setattr(speed_together, "measure_together", lambda *a, **k: [])
+    asked = []
+
+    def searched(jobs, *size):
+        asked.append((jobs, *size))
+        return [Figure(key="search_s", text="a search", unit="s", rounds=(400.0,), limit=360.0)]
+
+    monkeypatch.setattr(search_time, "measure_search", searched)
+    monkeypatch.setattr(speed_command, "measure", lambda *a: [])
+    code, out, _ = run("--quick", "--search")
+    assert code == 0 and asked == [(cores(), 1, 4)]
+    assert "Bars not met: a search (Search of weights)." in out
 
 
 @pytest.mark.skipif(not Path("/proc/stat").exists(), reason="only Linux tells others' work")

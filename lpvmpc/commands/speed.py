@@ -8,6 +8,7 @@ met or not; 2 bad input; 130 interrupted.
 
 from __future__ import annotations
 
+import math
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,6 +41,12 @@ the same work in each; this takes the fastest of each single step before the per
 - start to first physics step: of `python -m lpvmpc track` driving `paper`, compiled code cached.
 - gain of a second process: two processes busy with one-threaded rollouts, against one alone; two \
 undisturbed cores give 2.
+- many closed loops: laps of an oval of {length:.0f} m by the LPV-MPC, each with its measures. \
+Processes drive one lap after the other. Side by side, all cars are in one process: one thread \
+asks their controllers in turn, then all are moved in one threaded call. Either way each lap has \
+the same bytes. "At best" is what the share of the physics allows where all else stays in one \
+thread and nothing is lost. Tune, worlds and benchmark use the faster way, processes.
+- search: `lpvmpc tune --worlds ideal`, from the start of its processes to the last generation.
 """
 
 
@@ -51,6 +58,8 @@ class Options:
     """Rounds of every measurement; the best counts."""
     quick: bool = False
     """A look instead of a measurement: one round on a short road."""
+    search: bool = False
+    """Measure a whole search of weights as well, which takes minutes."""
     out: Path = Path("docs/results")
     """Folder for speed.md, speed.csv and speed.json."""
     car: CarPlace = None
@@ -71,6 +80,12 @@ def main(options: Options) -> int:
 
     meanwhile = Load()
     sections = measure(rounds, options.quick)
+    if options.search:
+        from lpvmpc.commands.parts.search_time import measure_search
+
+        say("a search")
+        searched = measure_search(cli.cores(), *((1, 4) if options.quick else ()))
+        sections.append(("Search of weights", searched))
     figures = [figure for _, section in sections for figure in section]
     load = meanwhile.describe()
     text = report(sections, rounds, load)
@@ -87,14 +102,16 @@ def main(options: Options) -> int:
     return cli.DONE
 
 
+def say(what: str) -> None:
+    """Tell a terminal what is being measured."""
+    if sys.stderr.isatty():
+        print(f"measuring {what} ...", file=sys.stderr)
+
+
 def measure(rounds: int, quick: bool) -> list[tuple[str, list[Figure]]]:
     """All figures, under the titles of their tables."""
     from lpvmpc import load_scenario
-    from lpvmpc.bench import speed, speed_processes
-
-    def say(what: str) -> None:
-        if sys.stderr.isatty():
-            print(f"measuring {what} ...", file=sys.stderr)
+    from lpvmpc.bench import speed, speed_processes, speed_together
 
     say("the plant")
     plant = speed.measure_plant(rounds, blocks=5 if quick else 40)
@@ -117,6 +134,10 @@ def measure(rounds: int, quick: bool) -> list[tuple[str, list[Figure]]]:
     start = speed_processes.measure_start(rounds)
     say("many simulations at once")
     many = speed_processes.measure_rollouts(rounds, simulations=4 if quick else 16)
+    say("many closed loops")
+    period_us = next(figure.value for figure in plant if figure.key == "plant_period_us")
+    cars, laps = ((1, 4), 4) if quick else (speed_together.CARS, speed_together.LAPS)
+    loops_at_once = speed_together.measure_together(period_us, min(rounds, 3), cars, laps)
     return [
         ("Plant, one core", plant),
         *loops,
@@ -124,18 +145,22 @@ def measure(rounds: int, quick: bool) -> list[tuple[str, list[Figure]]]:
         ("Video", frames),
         ("Start-up", start),
         ("Many simulations at once", many),
+        ("Many closed loops at once", loops_at_once),
     ]
 
 
 def report(sections: list[tuple[str, list[Figure]]], rounds: int, load: str) -> str:
     """The report in Markdown."""
+    from lpvmpc.bench.speed_together import RADIUS, STRAIGHT
+
+    length = 2.0 * (STRAIGHT + math.pi * RADIUS)
     lines = [
         "# Speed",
         "",
         f"Machine: {machine()}; meanwhile {load}.",
         versions_line(),
         "",
-        DEFINITIONS.format(rounds=rounds),
+        DEFINITIONS.format(rounds=rounds, length=length),
     ]
     header = ("quantity", "value", "rounds", "unit", "bar", "verdict")
     for title, figures in sections:
