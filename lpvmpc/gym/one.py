@@ -53,12 +53,34 @@ class Starts:
         speed = round(min(max(vx, SLOWEST), FASTEST) / SPEED_STEP)
         v = speed * SPEED_STEP
         bend = math.trunc(min(max(v * v * kappa, -AY_MOST), AY_MOST) / AY_STEP)
-        if (speed, bend) not in self._kept:
-            self.plant.reset(vx=v, kappa=bend * AY_STEP / (v * v))
-            self._kept[speed, bend] = self.plant.save()
-        self.plant.restore(self._kept[speed, bend])
+        self.plant.restore(self._settled(speed, bend))
         place(self.plant.data, self.layout, x, y, course, course=True)
         return self.plant.save().state
+
+    def settle_all(self, fastest: float = 21.0, kappa: float = 0.1) -> int:
+        """Settle them now, so that no episode has to wait for its own.
+
+        Args:
+            fastest: Speed up to which [m/s]; the default is that of roads without another limit.
+            kappa: Curvature up to which [1/m].
+
+        Returns:
+            How many there are then.
+        """
+        bends = round(AY_MOST / AY_STEP)
+        for speed in range(round(SLOWEST / SPEED_STEP), math.floor(fastest / SPEED_STEP) + 1):
+            for bend in range(-bends, bends + 1):
+                if abs(bend) * AY_STEP <= kappa * (speed * SPEED_STEP) ** 2:
+                    self._settled(speed, bend)
+        return len(self._kept)
+
+    def _settled(self, speed: int, bend: int) -> Snapshot:
+        """A steady state by its multiples."""
+        if (speed, bend) not in self._kept:
+            v = speed * SPEED_STEP
+            self.plant.reset(vx=v, kappa=bend * AY_STEP / (v * v))
+            self._kept[speed, bend] = self.plant.save()
+        return self._kept[speed, bend]
 
 
 class One:

@@ -14,6 +14,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ import gymnasium
 import mujoco
 import numpy as np
 
+from lpvmpc.gym.one import Starts
 from lpvmpc.gym.track import TrackEnv
 from lpvmpc.gym.track_vec import TrackVecEnv
 from lpvmpc.kit import cli
@@ -34,15 +36,19 @@ CARS = 64
 """Cars of the vector environment."""
 BARE, TWO_CORES = 0.85, 0.9
 """Bars: share of the bare physics' rate, and share of the two-process calibration's gain."""
+BLOCK = 10
+"""Control periods after which the environment and the bare models take turns."""
 DEFINITIONS = """\
 Definitions: CPU times are those of the whole process with one thread, rates are control \
-periods of 33 ms a second of it; a round does all measurements in turn, a rate is the best \
-round's, a ratio the middle round's. "Bare" is 64 MjData of one model, each stepped 33 times \
-by `mj_step`, nothing read and nothing written: with our tire callbacks (a car on its tires; \
-the same physics as the environment's), and without (the same multibody car afloat, no \
-gravity, no tires). The environment adds actions, road, observation, reward, ends and new \
-episodes. The gain of two threads is wall time; the calibration is two processes with one \
-thread each against one alone.
+periods of 33 ms a second of it; a round does all measurements in turn, environment and bare \
+models in blocks of {block} periods, a rate is the best round's, a ratio the middle round's. \
+"Bare" is 64 MjData of one model, each stepped 33 times by `mj_step`, nothing read and nothing \
+written: with our tire callbacks (a car on its tires; the same physics as the environment's), and \
+without (the same multibody car afloat, no gravity, no tires); their ratio is the most that the \
+share of the latter could be. The environment adds actions, road, observation, reward, ends and \
+new episodes, which begin in steady states that a process settles once; here before anything is \
+timed, which took {settling:.0f} s of CPU. The gain of two threads is wall time; the calibration \
+is two processes with one thread each against one alone.
 
 What each simulates in a step: `TrackVec-v0` 33 physics steps of a 16-dof multibody car with \
 four Pacejka tires, servo and drive; in `rtk` sensors and a Kalman filter besides. \
@@ -68,8 +74,8 @@ def main(options: Options) -> int:
     cli.check_number("--rounds", options.rounds, 1, 100)
     cli.check_number("--periods", options.periods, 10, 100_000)
     out = cli.results_folder(options.out, "environments")
-    rows = measure(options.rounds, options.periods)
-    text = report(rows, options.rounds)
+    rows, settling = measure(options.rounds, options.periods)
+    text = report(rows, options.rounds, settling)
     table = csv_text(("quantity", "value", "unit", "bar", "ok", "rounds"), [
         (name, value, unit, None if bar is None else str(bar),
          None if bar is None else value >= bar, " ".join(f"{v:.6g}" for v in each))
@@ -87,8 +93,9 @@ Row = tuple[str, float, str, float | None, list[float]]
 """Quantity, value, unit, bar, rounds."""
 
 
-def measure(rounds: int, periods: int) -> list[Row]:
-    """All figures."""
+def measure(rounds: int, periods: int) -> tuple[list[Row], float]:
+    """All figures, and the CPU time in which the steady states were settled [s]."""
+    settling, _ = spent(Starts(Plant()).settle_all)
     one, two = (TrackVecEnv(CARS, threads=threads) for threads in (1, 2))
     rtk = TrackVecEnv(CARS, threads=1, worlds=("rtk",))
     alone = TrackEnv()
@@ -113,15 +120,17 @@ def measure(rounds: int, periods: int) -> list[Row]:
             _ask(worker, False)
         for _ in range(rounds):
             actions = rng.uniform(-1.0, 1.0, (periods, CARS, 2)).astype(np.float32)
-            cpu_one, wall_one = spent(lambda a=actions: [one.step(x) for x in a])  # type: ignore[misc]
-            cpu_bare, _ = spent(lambda: _all(plant, datas, periods))
-            callbacks.uninstall()
-            try:
-                cpu_afloat, _ = spent(lambda: [
-                    mujoco.mj_step(afloat, data, nstep=plant.nstep)
-                    for _ in range(periods) for data in floating])
-            finally:
-                callbacks.install()
+            cpu_one = wall_one = cpu_bare = cpu_afloat = 0.0
+            for k in range(0, periods, BLOCK):
+                block = actions[k : k + BLOCK]
+                cpu, wall = spent(lambda a=block: [one.step(x) for x in a])  # type: ignore[misc]
+                cpu_one, wall_one = cpu_one + cpu, wall_one + wall
+                cpu_bare += spent(partial(_all, plant.model, datas, len(block)))[0]
+                callbacks.uninstall()
+                try:
+                    cpu_afloat += spent(partial(_all, afloat, floating, len(block)))[0]
+                finally:
+                    callbacks.install()
             _, wall_two = spent(lambda a=actions: [two.step(x) for x in a])  # type: ignore[misc]
             cpu_rtk, _ = spent(lambda a=actions: [rtk.step(x) for x in a])  # type: ignore[misc]
             cpu_alone, _ = spent(lambda a=actions: _drive(alone, a[:, 0]))  # type: ignore[misc]
@@ -137,6 +146,7 @@ def measure(rounds: int, periods: int) -> list[Row]:
             keep("64 bare models afloat", count / cpu_afloat)
             keep("share of the bare models with tires", cpu_bare / cpu_one)
             keep("share of the bare models afloat", cpu_afloat / cpu_one)
+            keep("ratio of the bare models, with tires to afloat", cpu_afloat / cpu_bare)
             keep("gain of two threads", wall_one / wall_two)
             keep("gain of two processes", 2.0 * single / both)
             keep("gain, threads against processes", (wall_one / wall_two) / (2.0 * single / both))
@@ -150,13 +160,13 @@ def measure(rounds: int, periods: int) -> list[Row]:
             "gain, threads against processes": TWO_CORES}
     rows: list[Row] = []
     for name, values in lists.items():
-        ratio = name.startswith(("share", "gain"))
+        ratio = name.startswith(("share", "gain", "ratio"))
         value = statistics.median(values) if ratio else max(values)
         rows.append((name, value, "" if ratio else "1/s of CPU", bars.get(name), values))
-    return rows
+    return rows, settling
 
 
-def report(rows: list[Row], rounds: int) -> str:
+def report(rows: list[Row], rounds: int, settling: float) -> str:
     """The report in Markdown; what does not hold comes first."""
     missed = [f"{name} is {value:.2f}, the bar {bar:g}" for name, value, _, bar, _ in rows
               if bar is not None and value < bar]
@@ -166,7 +176,8 @@ def report(rows: list[Row], rounds: int) -> str:
         "# Speed of the gymnasium environments", "",
         f"Bars not met: {'; '.join(missed)}." if missed else "All bars are met.",
         f"Not measured, since not installed: {lacking}.", "",
-        f"Machine: {machine()}.", versions_line(), "", DEFINITIONS,
+        f"Machine: {machine()}.", versions_line(), "",
+        DEFINITIONS.format(block=BLOCK, settling=settling),
     ]
     header = ("quantity", "value", "rounds", "unit", "bar")
     body = [
@@ -189,10 +200,10 @@ def spent(call: Callable[[], Any]) -> tuple[float, float]:
     return time.process_time() - cpu, time.perf_counter() - wall
 
 
-def _all(plant: Plant, datas: list[mujoco.MjData], periods: int) -> None:
+def _all(model: mujoco.MjModel, datas: list[mujoco.MjData], periods: int) -> None:
     for _ in range(periods):
         for data in datas:
-            mujoco.mj_step(plant.model, data, nstep=plant.nstep)
+            mujoco.mj_step(model, data, nstep=33)
 
 
 def _afloat(plant: Plant) -> tuple[mujoco.MjModel, list[mujoco.MjData]]:
@@ -235,7 +246,10 @@ def _drive_racing(env: Any, periods: int) -> None:
 WORKER = """
 import sys, time
 import numpy as np
+from lpvmpc.gym.one import Starts
 from lpvmpc.gym.track_vec import TrackVecEnv
+from lpvmpc.plant.plant import Plant
+Starts(Plant()).settle_all()
 periods = int(sys.argv[1])
 env = TrackVecEnv(64, threads=1)
 env.reset(seed=0)
