@@ -222,7 +222,8 @@ def test_the_viewer_is_shown_every_instant(here, monkeypatch):
         def is_open(self):
             return len(shown) < 100
 
-        def show(self, qpos, x, y, psi):
+        def show(self, qpos, x, y, psi, others):
+            assert others == []
             shown.append((qpos[0], x, y))
 
         def close(self):

@@ -2,8 +2,10 @@
 
 import json
 import math
+from contextlib import nullcontext
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -240,3 +242,102 @@ def test_the_command_says_how_near_it_was(run, tmp_path):
     assert log.road.length == load_scenario("slalom").path.length != log.scenario.path.length
     code, _, err = run("--scenario", "slalom", "--detour")
     assert code == 2 and "--detour is 'given', but must be left out without --traffic" in err
+
+
+# Windows ------------------------------------------------------------------------------------------
+
+
+class Handle:
+    """MuJoCo's passive viewer without its window: the scene in which others are drawn besides."""
+
+    def __init__(self, model, data, **options):
+        self.user_scn = mujoco.MjvScene(model, maxgeom=100)
+        self.user_scn.ngeom = 0
+        self.cam = mujoco.MjvCamera()
+        self.shown = []
+
+    def lock(self):
+        return nullcontext()
+
+    def is_running(self):
+        return len(self.shown) < 40
+
+    def sync(self):
+        geoms = self.user_scn.geoms[: self.user_scn.ngeom]
+        self.shown.append(np.array([geom.pos.copy() for geom in geoms]).reshape(-1, 3))
+
+    def close(self):
+        self.user_scn = None
+
+
+@pytest.fixture
+def window(monkeypatch):
+    """The handles that were opened in place of windows."""
+    pytest.importorskip("glfw")
+    from mujoco import viewer
+
+    from lpvmpc.picture.video import viewer as ours
+
+    opened = []
+
+    def launch(*arguments, **options):
+        opened.append(Handle(*arguments, **options))
+        return opened[-1]
+
+    monkeypatch.setattr(viewer, "launch_passive", launch)
+    monkeypatch.setattr(ours.glfw, "init", lambda: True)
+    monkeypatch.setattr(ours.time, "sleep", lambda seconds: None)
+    monkeypatch.setenv("DISPLAY", ":7")
+    return opened
+
+
+def middles(handle):
+    """Where the only user is in each picture; all its boxes, and no more each time."""
+    assert {len(picture) for picture in handle.shown} == {len(handle.shown[0])}
+    assert len(handle.shown[0]) > 3
+    return np.array([picture[0, :2] for picture in handle.shown])
+
+
+def test_windows_show_the_other_road_users_where_they_are(run, window, tmp_path):
+    """Live and again, in the lane that was there and not on the way round."""
+    words = ("--scenario", "slalom", "--controller", "stanley", "--traffic", "slow-car")
+    code, _, err = run(*words, "--view", "--out", "hit")
+    assert (code, err) == (3, "")
+    log, _ = read_run(tmp_path / "hit")
+    (live,) = window
+    live, c = middles(live), log.columns
+    seen = np.column_stack([c["user0_x_m"], c["user0_y_m"]])[: len(live)]
+    assert len(live) == 40  # then it was closed, and the run went on
+    assert np.allclose(live, seen, rtol=0.0, atol=1e-4)  # pictures are in single precision
+    assert np.hypot(*(live[-1] - live[0])) > 1.0
+    from lpvmpc.picture.video.viewer import replay
+
+    replay(log)
+    replayed = middles(window[-1])
+    assert len(replayed) == 40 and np.allclose(replayed[0], seen[0], rtol=0.0, atol=1e-4)
+    apart = np.hypot(*(replayed[:, None] - np.stack([c["user0_x_m"], c["user0_y_m"]], axis=1)
+                       ).transpose(2, 0, 1)).min(axis=1)
+    assert apart.max() < 0.2  # between two instants 0.033 s apart
+
+
+def test_the_window_of_an_environment_shows_them(window):
+    pytest.importorskip("gymnasium")
+    from lpvmpc.gym.track import TrackEnv
+
+    env = TrackEnv("human", roads=("slalom",), traffic="parked-car", random_start=False)
+    env.reset(seed=0)
+    env.render()
+    (handle,) = window
+    traffic = load_traffic("parked-car", load_scenario("slalom"))
+    box = traffic.box(traffic.users[0], 0.0)
+    place = middles(handle)[-1]
+    assert np.allclose(place, (box.x, box.y), rtol=0.0, atol=1e-3)
+    env.close()
+
+
+def test_a_run_without_traffic_draws_nobody(slalom, window):
+    log = simulate(Plant(), load_controller("stanley"), slalom)
+    from lpvmpc.picture.video.viewer import replay
+
+    replay(log)
+    assert all(len(picture) == 0 for picture in window[0].shown)

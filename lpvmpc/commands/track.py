@@ -33,8 +33,9 @@ from lpvmpc.sim.world_names import WORLD_NAMES
 if TYPE_CHECKING:
     from lpvmpc.picture.video.viewer import Viewer
     from lpvmpc.plant.plant import Plant
-    from lpvmpc.road.path import Path as Road
+    from lpvmpc.road.scenario import Scenario
     from lpvmpc.sim.log import Log
+    from lpvmpc.traffic.users import Traffic
 
 
 USER_TIMEOUT = 60.0
@@ -169,7 +170,7 @@ def main(options: Options) -> int:
         video = cli.results_folder(Path("videos"), f"{name}.mp4") / f"{name}.mp4"
     if options.json is not None:
         cli.writable_folder(options.json.parent)
-    viewer = open_viewer(plant, scenario.path) if options.view else None
+    viewer = open_viewer(plant, scenario, traffic) if options.view else None
     with Watch(viewer) as watch:
         log = simulate(
             plant,
@@ -306,11 +307,11 @@ class Watch:
             self.viewer.close()
 
 
-def open_viewer(plant: Plant, road: Road) -> Viewer:
+def open_viewer(plant: Plant, scenario: Scenario, traffic: Traffic | None) -> Viewer:
     """The live viewer, whose libraries are imported for it alone."""
     from lpvmpc.picture.video.viewer import Viewer
 
-    return Viewer(plant, road)
+    return Viewer(plant, scenario.path if traffic is None else traffic.path, traffic)
 
 
 RESULTS = ("metrics.json", "figures/*.png", "timing.parquet", "trace.parquet", REPORT, *FILES)

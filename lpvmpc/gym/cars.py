@@ -33,6 +33,7 @@ from lpvmpc.plant.plant import Plant
 from lpvmpc.plant.rollout import SPIN_QVEL, STEER, WIND_X, WIND_Y
 from lpvmpc.sim.ending import EPSI_LOST, EY_LOST, STUCK_SPEED, STUCK_TIME, VERGE
 from lpvmpc.sim.world import World, load_world
+from lpvmpc.traffic.watch import Pose
 from lpvmpc.units import Array
 
 ROLL_LOST = math.radians(60.0)
@@ -340,7 +341,7 @@ class Cars:
             **traffic,
         }
 
-    def drawn(self, i: int) -> list[tuple[dict[str, float], float, float, float]]:
+    def drawn(self, i: int) -> list[Pose]:
         """Who is around car i, for pictures; see `Others.poses`."""
         if self.others is None:
             return []

@@ -16,6 +16,7 @@ from lpvmpc.control.rivals.observation import Entry
 from lpvmpc.road.scenario import Scenario
 from lpvmpc.traffic.boxes import footprint, gap
 from lpvmpc.traffic.users import Traffic, load_traffic
+from lpvmpc.traffic.watch import Pose, poses
 from lpvmpc.units import Array
 
 ENTRIES: tuple[Entry, ...] = (
@@ -98,13 +99,8 @@ class Others:
         if nearest >= NOBODY[0]:
             self.seen[i] = NOBODY
 
-    def poses(self, i: int, t: float) -> list[tuple[dict[str, float], float, float, float]]:
-        """Size and place x, y [m], heading [rad] of everybody before car i, for pictures."""
+    def poses(self, i: int, t: float) -> list[Pose]:
+        """Everybody before car i at a time t [s] of its episode, for pictures."""
         traffic = self.traffic[i]
         assert traffic is not None
-        found = []
-        for user in traffic.users:
-            box = traffic.box(user, t)
-            size = {"length_m": user.length, "width_m": user.width, "height_m": user.height}
-            found.append((size, box.x, box.y, box.psi))
-        return found
+        return poses(traffic, t)

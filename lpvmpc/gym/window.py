@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lpvmpc.errors import RenderError
+from lpvmpc.traffic.watch import Pose
 from lpvmpc.units import Array
 
 SIGHT = 250.0
@@ -31,7 +32,7 @@ class Window:
 
     def draw(
         self, number: int, path: Any, qpos: Array, state: Array,
-        others: Iterable[tuple[dict[str, float], float, float, float]] = (),
+        others: Iterable[Pose] = (),
     ) -> npt.NDArray[np.uint8] | None:
         """Draw it.
 
@@ -40,7 +41,7 @@ class Window:
             path: The road.
             qpos: Coordinates of the car, shape (17,).
             state: x, y, psi, ..., see `seeing`.
-            others: Road users, see `Others.poses`; a window of "human" does not show them.
+            others: The other road users.
 
         Raises:
             RenderError: No OpenGL, or no display for a window.
@@ -58,16 +59,24 @@ class Window:
         if self._viewer is not None:
             with self._viewer.lock():
                 self._viewer.cam.lookat[:], self._viewer.cam.azimuth = camera.lookat, camera.azimuth
+                self._viewer.user_scn.ngeom = 0
+                self._add_users(self._viewer.user_scn, others)
             self._viewer.sync()
             return None
         self._context.make_current()
         mujoco.mjv_updateScene(scenery.model, data, self._option, None, camera,
                                mujoco.mjtCatBit.mjCAT_ALL, self._scene)
-        for user, x, y, psi in others:
-            self._draw_user(partial(self._add, self._scene), user, x, y, psi)
+        self._add_users(self._scene, others)
         mujoco.mjr_render(self._rect, self._scene, self._gl)
         mujoco.mjr_readPixels(self._pixels, None, self._rect, self._gl)
         return np.ascontiguousarray(self._pixels[::-1])  # OpenGL's first row is the lowest
+
+    @staticmethod
+    def _add_users(scene: Any, others: Iterable[Pose]) -> None:
+        from lpvmpc.picture.video.stage import add, draw_user
+
+        for user, x, y, psi in others:
+            draw_user(partial(add, scene), user, x, y, psi)
 
     def _open(self, path: Any) -> None:
         from lpvmpc.picture.video import scenery, stage
@@ -90,7 +99,6 @@ class Window:
                 raise RenderError(f"render_mode 'human' needs a display: {error}") from error
             self._viewer.cam.distance, self._viewer.cam.elevation = 9.0, -15.0
             return
-        self._add, self._draw_user = stage.add, stage.draw_user
         self._context = stage.gl_context(width, height)
         self._context.make_current()
         self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 200)

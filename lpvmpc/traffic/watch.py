@@ -15,6 +15,8 @@ from lpvmpc.units import Array
 
 COLUMNS = ("x_m", "y_m", "psi_rad", "s_m", "gap_m")
 """What is kept of each user, row by row; a trace has `user0_x_m` and so on."""
+Pose = tuple[dict[str, Any], float, float, float]
+"""A user in a picture: what `users_of` says of it, its middle x, y [m], its heading [rad]."""
 
 
 class Watch:
@@ -55,13 +57,21 @@ class Watch:
         }
 
 
-
 def users_of(traffic: Traffic) -> list[dict[str, Any]]:
     """Who is there, for the record of a run and for pictures."""
     return [
         {"name": user.name, "length_m": user.length, "width_m": user.width,
          "height_m": user.height} for user in traffic.users
     ]
+
+
+def poses(traffic: Traffic, t: float) -> list[Pose]:
+    """Who is where at a time t [s], for pictures."""
+    found = []
+    for user, told in zip(traffic.users, users_of(traffic), strict=True):
+        box = traffic.box(user, t)
+        found.append((told, box.x, box.y, box.psi))
+    return found
 
 
 @dataclass(frozen=True, kw_only=True)

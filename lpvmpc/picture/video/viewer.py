@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 import warnings
+from collections.abc import Iterable
+from functools import partial
 from typing import Any
 
 import glfw
@@ -13,8 +15,11 @@ from mujoco import viewer
 from lpvmpc.errors import RenderError
 from lpvmpc.picture.video import scenery
 from lpvmpc.picture.video.render import Motion
+from lpvmpc.picture.video.stage import add, draw_user
 from lpvmpc.plant.plant import Plant
 from lpvmpc.road.path import Path
+from lpvmpc.traffic.users import Traffic
+from lpvmpc.traffic.watch import Pose, poses
 from lpvmpc.units import Array
 
 FPS = 60
@@ -43,9 +48,20 @@ class Window:
         """Whether nobody has closed it."""
         return bool(self.window.is_running())
 
-    def show(self, qpos: Array, x: float, y: float, psi: float) -> None:
-        """Show the car at generalised coordinates (nq,) and the place of its centre of mass."""
+    def show(
+        self, qpos: Array, x: float, y: float, psi: float, others: Iterable[Pose] = ()
+    ) -> None:
+        """Show one instant.
+
+        Args:
+            qpos: Generalised coordinates of the car, shape (nq,).
+            x: Its centre of mass [m].
+            y: The same [m].
+            psi: Its heading [rad].
+            others: The other road users.
+        """
         with self.window.lock():
+            draw_users(self.window.user_scn, others)
             self.data.qpos[:] = qpos
             self.scenery.place(self.data, x, y, psi, sight=500.0)
             mujoco.mj_kinematics(self.scenery.model, self.data)
@@ -57,6 +73,13 @@ class Window:
         self.window.close()
 
 
+def draw_users(scene: mujoco.MjvScene, others: Iterable[Pose]) -> None:
+    """Put other road users, and nothing else, into the scene that a viewer draws besides."""
+    scene.ngeom = 0
+    for user, x, y, psi in others:
+        draw_user(partial(add, scene), user, x, y, psi)
+
+
 class Viewer:
     """A run live, not faster than real time.
 
@@ -64,8 +87,9 @@ class Viewer:
     goes on at full speed.
     """
 
-    def __init__(self, plant: Plant, road: Path):
-        self.plant = plant
+    def __init__(self, plant: Plant, road: Path, traffic: Traffic | None = None):
+        """Args: the plant that is driven, what it drives on, and who else does."""
+        self.plant, self.traffic = plant, traffic
         self.window = Window(road, "--render makes a video without one.")
         self.start: float | None = None
 
@@ -74,7 +98,8 @@ class Viewer:
         if not self.window.is_open():
             return
         state = self.plant.state
-        self.window.show(self.plant.qpos, state.x, state.y, state.psi)
+        others = [] if self.traffic is None else poses(self.traffic, self.plant.time)
+        self.window.show(self.plant.qpos, state.x, state.y, state.psi, others)
         if self.start is None:
             self.start = time.monotonic()
         time.sleep(max(0.0, self.plant.time - (time.monotonic() - self.start)))
@@ -95,7 +120,9 @@ def replay(log: Any, speed: float = 1.0) -> None:
         RenderError: No window can be opened here, or nothing moves.
     """
     motion = Motion(log, FPS / speed)
-    window = Window(log.scenario.path, "`lpvmpc view --html` makes a page.", log.scenario.cones)
+    road = log.road or log.scenario.path
+    window = Window(road, "`lpvmpc view --html` makes a page.", log.scenario.cones)
+    users = log.meta.get("traffic", [])
     try:
         while window.is_open():
             start = time.monotonic()
@@ -103,7 +130,11 @@ def replay(log: Any, speed: float = 1.0) -> None:
                 if not window.is_open():
                     break
                 now = motion.at(k)
-                window.show(now["qpos"], now["x_m"], now["y_m"], now["psi_rad"])
+                others = [
+                    (user, now[f"user{i}_x_m"], now[f"user{i}_y_m"], now[f"user{i}_psi_rad"])
+                    for i, user in enumerate(users)
+                ]
+                window.show(now["qpos"], now["x_m"], now["y_m"], now["psi_rad"], others)
                 time.sleep(max(0.0, k / FPS - (time.monotonic() - start)))
     finally:
         window.close()
