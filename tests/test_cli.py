@@ -86,6 +86,11 @@ def test_numbers_outside_their_range_are_refused(value):
         cli.check_number("--share", value, 0.0, 2.0, "m")
 
 
+def test_whole_numbers_are_told_whole():
+    with pytest.raises(OptionError, match=r"from 0 to 9223372036854775808\."):
+        cli.check_number("--seed", 2**64, 0, 2**63)
+
+
 def test_numbers_that_were_not_given_pass():
     cli.check_number("--share", None, 0.0, 1.0)
     cli.check_number("--share", 1.0, 0.0, 1.0)
@@ -98,6 +103,36 @@ def test_a_folder_is_made_and_tried(tmp_path):
     for place in (tmp_path / "file", tmp_path / "file" / "below", Path("/proc/absent")):
         with pytest.raises(OutputError, match="Cannot write into"):
             cli.writable_folder(place)
+
+
+def test_a_file_of_results_is_tried_before_anything_is_driven(tmp_path):
+    cli.result_file(None)
+    cli.result_file(tmp_path / "a" / "b.json")
+    assert (tmp_path / "a").is_dir()
+    with pytest.raises(OutputError, match=r"it is a folder, not a file\."):
+        cli.result_file(tmp_path / "a")
+
+
+def test_a_result_never_replaces_a_file_that_is_read(tmp_path, capsys):
+    @dataclass(frozen=True, kw_only=True)
+    class Files:
+        """Read and write."""
+
+        scenario: str = ""
+        """What is read."""
+        also: tuple[Path, ...] = ()
+        """What else."""
+        json: Path | None = None
+        """What is written."""
+
+    (tmp_path / "road.csv").write_text("0,0")
+    (tmp_path / "link").symlink_to("road.csv")
+    read, link = str(tmp_path / "road.csv"), str(tmp_path / "link")
+    for words in (["--scenario", read], ["--scenario", link], ["--also", "x", read]):
+        assert cli.run(Files, lambda options: cli.DONE, [*words, "--json", read]) == cli.BAD_INPUT
+        said = capsys.readouterr().err
+        assert f"--json is {read!r}, but must be another file than that of {words[0]}" in said
+    assert cli.run(Files, lambda options: cli.DONE, ["--scenario", read, "--json", "x"]) == cli.DONE
 
 
 def test_an_opengl_that_is_not_there_is_ignored_aloud(monkeypatch, capsys):

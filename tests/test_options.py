@@ -61,6 +61,8 @@ def test_words_may_stand_as_people_write_them(words, expected):
     ("--friction", "Missing value for argument '--friction'"),
     ("--out --loud", "Missing value for argument '--out'"),
     ("--start 1", "Missing value for argument '--start'"),
+    ("--out=", "--out is '', but must be the path of a file or a folder"),
+    ("--friction 1 --laps 2 --friction 0.5", "--friction is given twice, but must come once"),
     ("--loud=3", "--loud takes no value"),
     ("--lap 3", "Unrecognized options: --lap"),
     ("a -x", "Unrecognized options: -x"),

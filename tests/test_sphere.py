@@ -188,7 +188,7 @@ def test_the_picture_has_the_same_bytes_twice(short, tmp_path):
         (["--controller", "lmpc"], "--controller is 'lmpc', but must be left out with --sphere."),
         (["--generations", "0"], "--generations is 0, but must be from 1 to 10000."),
         (["--population", "1"], "--population is 1, but must be from 2 to 10000."),
-        (["--seed", "-1"], "--seed is -1, but must be from 0 to 4.61169e+18."),
+        (["--seed", "-1"], "--seed is -1, but must be from 0 to 4611686018427387904."),
     ],
 )
 def test_bad_options_are_one_sentence(run, arguments, sentence):

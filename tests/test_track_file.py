@@ -73,6 +73,7 @@ def test_a_car_may_stand_at_both_ends(tmp_path):
         ("# x_m\n1\n2\n", "one column"),
         ("# x_m,y_m\n1,2\n3,four\n", "Line 3 .* 'four', which is not a number"),
         ("# x_m,y_m\n1,2\n3,\n", "not a number"),
+        ("# x_m,y_m\n1,2\n1_0,4\n", "Line 3 .* '1_0', which is not a number"),
         ("# x_m,y_m\n1,2\n3,nan\n", "Line 3 .* NaN or infinity"),
         ("# x_m,y_m\n1,inf\n", "NaN or infinity"),
         ("# x_m,y_m\n1,2\n3,4,5\n", "Line 3 .* 3 columns"),

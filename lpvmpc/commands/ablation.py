@@ -55,8 +55,7 @@ def main(options: Options) -> int:
     cli.check_opengl()
     out = options.out or (QUICK_OUT if options.quick else Path("docs/results"))
     cli.results_folder(out, NAME)
-    if options.json is not None:
-        cli.writable_folder(options.json.parent)
+    cli.result_file(options.json)
     prepare(options.cache, options.resume, NAME)
     from lpvmpc.bench import cases as ablation
     from lpvmpc.bench import report

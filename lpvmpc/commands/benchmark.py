@@ -79,8 +79,7 @@ def main(options: Options) -> int:
     plan, lacking = plan_of(options)
     out = options.out or (QUICK_OUT if options.quick else Path("docs/results"))
     cli.results_folder(out, NAME)
-    if options.json is not None:
-        cli.writable_folder(options.json.parent)
+    cli.result_file(options.json)
     prepare(options.cache, options.resume, NAME)
     from lpvmpc.leaderboard.grid import planned, rows_of, run_of
     from lpvmpc.leaderboard.score import Board

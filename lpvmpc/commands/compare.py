@@ -89,8 +89,7 @@ def main(options: Options) -> int:
     video = None
     if options.render:
         video = cli.results_folder(Path("videos"), f"{title}.mp4") / f"{title}.mp4"
-    if options.json is not None:
-        cli.writable_folder(options.json.parent)
+    cli.result_file(options.json)
     plant, runs = Plant(), dict[str, Any]()
     for name, controller in made.items():
         if sys.stderr.isatty():
@@ -136,8 +135,8 @@ def load(name: str, delay: int) -> Controller:
 
     if ":" in name:
         return load_controller(name)
-    controller, _, stiffness = name.partition("/")
-    return load_controller(controller, delay=delay, stiffness=stiffness or None)
+    controller, slash, stiffness = name.partition("/")
+    return load_controller(controller, delay=delay, stiffness=stiffness if slash else None)
 
 
 def show(runs: dict[str, Log]) -> None:

@@ -74,8 +74,7 @@ def main(options: Options) -> int:
     published = len(names) == len(STUDIES) and options.broken is None
     out = options.out or Path("docs/results" if published else "runs/fidelity")
     cli.results_folder(out, "fidelity")
-    if options.json is not None:
-        cli.writable_folder(options.json.parent)
+    cli.result_file(options.json)
 
     how = " ".join(["python eval/fidelity.py", *options.studies])
     if options.broken is not None:

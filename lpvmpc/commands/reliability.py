@@ -78,8 +78,7 @@ def main(options: Options) -> int:
     parts = [part for part in PARTS if part in options.parts or not options.parts]
     whole = parts == list(PARTS) and not options.quick
     out = cli.writable_folder(options.out or (Path("docs/results") if whole else QUICK_OUT))
-    if options.json is not None:
-        cli.writable_folder(options.json.parent)
+    cli.result_file(options.json)
     cli.results_folder(out, NAME)
     prepare(options.cache, options.resume, NAME)
     jobs = options.jobs or cli.cores()

@@ -51,8 +51,7 @@ def main(options: Options) -> int:
     cli.check_opengl()
     out = options.out or (QUICK_OUT if options.quick else Path("docs/results"))
     cli.results_folder(out, "solvers")
-    if options.json is not None:
-        cli.writable_folder(options.json.parent)
+    cli.result_file(options.json)
     from lpvmpc.solvers import report, study
     from lpvmpc.solvers.adapters import ADAPTERS, available
 

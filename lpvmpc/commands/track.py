@@ -168,8 +168,7 @@ def main(options: Options) -> int:
     video = None
     if options.render:
         video = cli.results_folder(Path("videos"), f"{name}.mp4") / f"{name}.mp4"
-    if options.json is not None:
-        cli.writable_folder(options.json.parent)
+    cli.result_file(options.json)
     viewer = open_viewer(plant, scenario, traffic) if options.view else None
     with Watch(viewer) as watch:
         log = simulate(

@@ -112,8 +112,7 @@ def tune(options: Options) -> int:
     name = task.controller.replace(":", "-")
     whose = f"-{options.car.stem}" if options.car else ""
     out = cli.results_folder(options.out or Path("runs") / f"tune-{name}{whose}")
-    if options.json is not None:
-        cli.writable_folder(options.json.parent)
+    cli.result_file(options.json)
     if options.resume and not (out / "checkpoint.json").exists() and is_done(task, out):
         print(f"This tuning is done already; its results are in {out}/.")
         return cli.DONE
@@ -253,8 +252,7 @@ def show_spread(options: Options) -> int:
 
     only(options, SPREAD)
     out = cli.results_folder(options.out or Path("runs/tune-spread"))
-    if options.json is not None:
-        cli.writable_folder(options.json.parent)
+    cli.result_file(options.json)
     found = spread.read(options.spread, options.jobs or cli.cores())
     files = spread.save(found, out)
     if options.json is not None:
@@ -268,8 +266,7 @@ def show_sphere(options: Options) -> int:
     """Run, print and save the study of the sphere function."""
     only(options, SPHERE)
     out = cli.results_folder(options.out or Path("docs/results"), "sphere")
-    if options.json is not None:
-        cli.writable_folder(options.json.parent)
+    cli.result_file(options.json)
     from lpvmpc.tune import sphere, sphere_report
 
     def say(what: str) -> None:

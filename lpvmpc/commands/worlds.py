@@ -77,8 +77,7 @@ def main(options: Options) -> int:
     plan = plan_of(options)
     out = options.out or (QUICK_OUT if options.quick else Path("docs/results"))
     cli.results_folder(out, NAME)
-    if options.json is not None:
-        cli.writable_folder(options.json.parent)
+    cli.result_file(options.json)
     prepare(options.cache, options.resume, NAME)
     jobs = jobs_of(options.jobs, options.backend, options.address)
     try:

@@ -9,8 +9,9 @@ import sys
 import tempfile
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from ctypes.util import find_library
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from lpvmpc.kit.streams import Lasting, lasting
 
 __all__ = [
     "Option", "check_choice", "check_number", "check_opengl", "cores", "one_line", "parse",
-    "results_folder", "run", "writable_folder",
+    "result_file", "results_folder", "run", "writable_folder",
 ]
 
 DONE, BAD_INPUT, NOT_COMPLETED, INTERRUPTED = 0, 2, 3, 130
@@ -30,6 +31,8 @@ DONE, BAD_INPUT, NOT_COMPLETED, INTERRUPTED = 0, 2, 3, 130
 SIGHUP."""
 LONGEST = 1000
 """Most characters of a message: a name on the command line may have any length."""
+WRITTEN = ("json", "save_push", "out")
+"""Options that name a file of results."""
 NO_CACHE = "cannot cache function"
 """How numba begins to say that none of the folders for compiled code can be written."""
 BACKENDS = {
@@ -72,7 +75,9 @@ def _run(
     """The same, where nothing that is printed can fail."""
     try:
         with locks.claims():
-            code = main(parse(options, arguments))
+            given = parse(options, arguments)
+            _spare(given)
+            code = main(given)
     except LPVMPCError as error:
         print("Error:", one_line(str(error)), file=sys.stderr)
         code = BAD_INPUT
@@ -101,6 +106,32 @@ def _run(
         print(f"Error: Cannot write to standard output: {printed.lost}.", file=sys.stderr)
         code = code or BAD_INPUT
     return code
+
+
+def _spare(options: Any) -> None:
+    """Refuse to write a result over a file that another option reads.
+
+    Raises:
+        OptionError: With the names of both options.
+    """
+    values = {field.name: getattr(options, field.name) for field in fields(options)}
+    for name in WRITTEN:
+        file = values.pop(name, None)
+        if not isinstance(file, Path) or not file.is_file():
+            continue
+        for other, value in values.items():
+            for read in value if isinstance(value, tuple) else (value,):
+                if isinstance(read, str | Path) and _is(file, read):
+                    own, its = (f"--{one.replace('_', '-')}" for one in (name, other))
+                    raise OptionError(own, os.fspath(file),
+                                      f"another file than that of {its}, which is read")
+
+
+def _is(file: Path, name: str | Path) -> bool:
+    """Whether a name is that of a file, by whatever way."""
+    with suppress(OSError, ValueError):  # a word that names none
+        return os.path.samefile(file, name)
+    return False
 
 
 def _interrupted() -> int:
@@ -140,7 +171,8 @@ def check_number(name: str, value: float | None, low: float, high: float, unit: 
         OptionError: With the option's name, its value and the allowed range.
     """
     if value is not None and not (math.isfinite(value) and low <= value <= high):
-        raise OptionError(name, value, f"from {low:g} to {high:g}{unit and ' ' + unit}")
+        ends = (str(end) if isinstance(end, int) else f"{end:g}" for end in (low, high))
+        raise OptionError(name, value, f"from {' to '.join(ends)}{unit and ' ' + unit}")
 
 
 def check_choice(name: str, value: str | None, choices: Iterable[str]) -> None:
@@ -190,9 +222,23 @@ def writable_folder(folder: Path) -> Path:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        why = error.strerror or str(error)
+        taken = isinstance(error, FileExistsError)
+        why = "it is no folder" if taken else error.strerror or str(error)
         raise OutputError(f"Cannot write into {os.fspath(folder)!r}: {why}.") from error
     return folder
+
+
+def result_file(file: Path | None) -> None:
+    """Find out now whether a file of results can be written; None is fine (it was not asked for).
+
+    Raises:
+        OutputError: It cannot.
+    """
+    if file is None:
+        return
+    if file.is_dir():
+        raise OutputError(f"Cannot write {os.fspath(file)!r}: it is a folder, not a file.")
+    writable_folder(file.parent)
 
 
 def results_folder(folder: Path, name: str = "") -> Path:

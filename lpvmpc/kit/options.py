@@ -35,7 +35,7 @@ KINDS: dict[type, tuple[str, str]] = {
     int: ("INT", "a whole number"),
     float: ("FLOAT", "a number"),
     str: ("STR", "a word"),
-    Path: ("PATH", "a path"),
+    Path: ("PATH", "the path of a file or a folder"),
 }
 """Types of a value: how the help calls it, and an error."""
 NUMBER = re.compile(r"-(\d+\.?\d*e[+-]?\d+|\.\d+e[+-]?\d+|inf|nan)", re.IGNORECASE)
@@ -133,10 +133,20 @@ def _add(parser: argparse.ArgumentParser, field: Field[Any], hint: Any, text: st
     elif not kinds:
         parser.add_argument(flag, type=read, metavar=metavar, help=text)
     elif kinds[-1] is Ellipsis:
-        parser.add_argument(flag, type=read, metavar=metavar, help=text, nargs="+")
+        parser.add_argument(flag, type=read, metavar=metavar, help=text, nargs="+", action=_Once)
     else:
         names = tuple(metavar.split()) if " " in metavar else (metavar,) * len(kinds)
         parser.add_argument(flag, type=read, metavar=names, help=text, nargs=len(kinds))
+
+
+class _Once(argparse.Action):
+    """Keep a list; a second one would silently replace the first."""
+
+    def __call__(self, parser: Any, namespace: Any, values: Any, option_string: Any = None) -> None:
+        """Refuse it."""
+        if hasattr(namespace, self.dest):
+            raise _wrong(f"{option_string} is given twice, but must come once, before all values")
+        setattr(namespace, self.dest, values)
 
 
 def _bare(hint: Any) -> tuple[Any, Option]:
@@ -167,7 +177,7 @@ def _reader(flag: str, kind: Any) -> tuple[Callable[[str], Any], str]:
         if choices and word in choices:
             return word
         try:
-            if not choices:
+            if not choices and not (kind is Path and (not word or "\0" in word)):
                 return kind(word)
         except ValueError:
             pass

@@ -126,8 +126,8 @@ def _compiled(
         spec.compiler.discardvisual = not visual
         model = spec.compile()
     except ValueError as error:  # MuJoCo reports schema and compile errors as ValueError
-        reason = " ".join(str(error).split())
-        raise ModelError(f"{source} is no valid MJCF file: {reason}") from None
+        reason = " ".join(str(error).split()).rstrip(".")
+        raise ModelError(f"{source} is no valid MJCF file: {reason}.") from None
     check_model(model, source)
     return model
 

@@ -71,7 +71,22 @@ OUT_OF_RANGE: dict[str, str] = {
         --stiffness rigid | --world mars | --world none.toml | --estimator guess | --estimator x:Y
         --weights none.toml | --weights none.toml --controller json:JSONDecoder
         --json /dev/null/x | --out /dev/null/x | --out /proc/x | --export bag | --traffic tram
-        --traffic none.toml | --traffic /dev/zero | --detour""",
+        --traffic none.toml | --traffic /dev/zero | --detour | --json empty-folder | --json loop/x
+        --out roads/empty.csv | --out roads/empty.csv/x | --out loop | --json roads/empty.csv/x
+        --scenario roads/a-word.csv --json roads/a-word.csv | --seed 18446744073709551616
+        --step-timeout 1e-300 | --step-timeout inf | --step-timeout -1 | --friction 1e-300
+        --friction 1e400 | --friction 0x1p0 | --smoothing 1e9 | --smoothing nan
+        --start-offset inf 0 | --start-offset 0.5 0.1 0.2 | --export csv,mcap | --export CSV
+        --solver gurobi | --controller stanley --solver active-set | --controllers stanley
+        --controller stanley --stiffness network | extra | -- | -x | --sc paper | @file
+        --scenario loop | --scenario loop.csv | --scenario random- | --scenario random--1
+        --scenario random-1e3 | --scenario random-1.csv | --scenario http://x/y.csv | --scenario -
+        --scenario /dev/fd/99 | --scenario /proc/self/mem | --scenario ~/none.csv
+        --controller json:a:b | --controller json.loads | --controller none.py:C
+        --controller ./none:C | --controller ../none:C | --controller json:__class__
+        --car loop | --car roads/empty.csv | --car empty-folder | --tire loop
+        --tire roads/empty.csv | --weights loop | --world loop | --traffic loop
+        --scenario slalom --closed | --isolate --controller none:C""",
     "view": """empty-folder | empty-folder --html | none --html | --html | a b --html | roads --html
         empty-folder --speed 0 | empty-folder --speed nan --html | /dev/null --html""",
     "export": """empty-folder | none | a b | empty-folder --to bag | /dev/null | /proc
@@ -80,40 +95,61 @@ OUT_OF_RANGE: dict[str, str] = {
         --controllers lpv-mpc/rigid stanley | --controllers stanley none:Class
         --controllers stanley pure-pursuit lpv-mpc lpv-mpc-paper lmpc-pso-pid a b
         --controllers stanley pure-pursuit --scenario nowhere | --seed -1 | --delay 31
+        --controllers stanley lqr --controllers stanley pure-pursuit | --controllers / stanley
+        --controllers lpv-mpc/ stanley | --controllers stanley pure-pursuit --json empty-folder
+        --controllers stanley pure-pursuit --out roads/empty.csv
         --controllers stanley pure-pursuit --friction 0 | --friction nan | --wind-scale -1
         --v-max 0 | --ay-max 0 | --grip 2 | --out /dev/null/x""",
     "tune": """--controller nobody | --scenario nowhere | --worlds mars | --seeds 0 | --seeds 1001
         --generations 0 | --generations 10001 | --population 1 | --population 3 | --jobs 0
         --jobs -1 | --seed -1 | --address x | --sphere --controller stanley | --sphere --jobs 2
         --sphere --resume | --resume --out empty-folder | --out /dev/null/x
+        --out roads/empty.csv | --json empty-folder | --controller ppo | --scenario loop
+        --worlds worlds/a-pickle.toml | --worlds rtk --worlds fleet | --population 100000000
+        --backend ray --address 256.1.1.1:1 | --backend local --address 1.2.3.4:5
         --sphere --out /dev/null/x | --spread none | --spread none none | --spread /dev/zero x""",
     "collect": """--samples 0 | --samples -5 | --samples 1000000000 | --seed -1 | --jobs -1
         --jobs 1025 | --friction 0 | --friction 2 | --friction 1 0.5 | --friction 1 1 1
         --friction nan | --mass 0 | --mass 100 | --mass 2000 1500 | --mass nan | --out data.csv
-        --out /dev/null/x.parquet | --address x""",
+        --out /dev/null/x.parquet | --address x | --friction 0.5 --friction 0.7
+        --out empty-folder | --out loop | --out roads/empty.csv/x.parquet | --car cars/no-car.xml
+        --mass 1500 1500 1500""",
     "train": """--data none.parquet | --seed -1 | --seeds 0 | --seeds 101 | --epochs 0 | --epochs -1
-        --epochs 10000000 | --out weights.pt | --also none.parquet""",
+        --epochs 10000000 | --out weights.pt | --also none.parquet | --data loop
+        --data empty-folder | --preset Paper""",
     "benchmark": """--jobs -1 | --seeds 0 | --seeds 901 | --sample -1 | --controllers nobody
         --out /dev/null/x | --cache /dev/null/x | --verify none | --resume --cache empty-folder
-        --address x""",
+        --controllers stanley stanley | --controllers stanley --controllers lqr
+        --verify roads/empty.csv | --verify empty-folder | --verify loop | --cache roads/empty.csv
+        --out roads/empty.csv | --json empty-folder | --car cars/no-car.xml | --address x""",
     "ablation": """--jobs -1 | --jobs 1025 | --out /dev/null/x | --cache /dev/null/x
+        --out roads/empty.csv | --json empty-folder | --car loop | --cache loop
         --resume --cache empty-folder""",
     "worlds": """--jobs -1 | --seeds 0 | --seeds 10001 | --parts weather | --controllers nobody
-        --out /dev/null/x | --cache /dev/null/x | --resume --cache empty-folder | --address x""",
+        --out /dev/null/x | --cache /dev/null/x | --resume --cache empty-folder | --address x
+        --out roads/empty.csv | --json empty-folder | --cache roads/empty.csv | --seeds 1e2
+        --parts worlds --parts margins | --controllers stanley stanley""",
     "fidelity": """astrology | straight astrology | --jobs -1 | --broken wheel
-        --out /dev/null/x""",
-    "reproduce": "--jobs -1 | --out /dev/null/x | --cache /dev/null/x",
+        --out /dev/null/x | Tire | tire --out roads/empty.csv | tire --json empty-folder
+        tire --tire roads/empty.csv | tire --car cars/no-car.xml""",
+    "reproduce": """--jobs -1 | --out /dev/null/x | --cache /dev/null/x | --out roads/empty.csv
+        --json empty-folder | --cache loop""",
     "replay": """--recording none.csv | --recording /dev/zero | --recording /proc
         --recording none.csv --fit wings | --fit-on none.csv | --save x | --study --out /dev/null/x
-        --recording none.csv --car none""",
+        --recording none.csv --car none | --recording loop | --recording empty-folder""",
     "adopt": """none.csv | --out x | none.csv --out x | /dev/zero --out x
         none.csv --out /dev/null/x
         none.csv --out x --held-back nan | none.csv --out x --held-back 1
         none.csv --out x --samples 5 | none.csv --out x --jobs -1 | none.csv --out x --fit wings
-        none.csv --out x --generations -1 | none.csv --out x --car none""",
+        none.csv --out x --generations -1 | none.csv --out x --car none | loop --out x
+        a.csv b.csv --out x | recordings/nan.csv --out roads/empty.csv""",
     "solvers": """--solvers nobody | --count 0 | --programs none | --programs /dev/zero
-        --programs /dev/null | --programs empty-folder | --keep /dev/null/x | --out /dev/null/x""",
-    "speed": "--rounds 0 | --rounds 101 | --out /dev/null/x",
+        --programs /dev/null | --programs empty-folder | --keep /dev/null/x | --out /dev/null/x
+        --out roads/empty.csv | --keep roads/empty.csv | --programs roads/empty.csv
+        --programs loop | --count 99999999999 | --json empty-folder""",
+    "speed": """--rounds 0 | --rounds 101 | --out /dev/null/x | --rounds 1e1 | --json empty-folder
+        --out roads/empty.csv | --car cars/no-car.xml""",
+    "stiffness": """--seeds -1 | --out roads/empty.csv | --json empty-folder | --car loop""",
 }
 """Values outside their domain, and options that exclude each other; a | or a line's end parts
 them."""
@@ -130,7 +166,16 @@ def wrong_inputs(options: Mapping[str, type]) -> list[Wrong]:
         found += [Wrong(words=(name, *words)) for words in _by_type(kind)]
         entries = OUT_OF_RANGE.get(name, "").replace("\n", "|").split("|")
         found += [Wrong(words=(name, *entry.split())) for entry in entries if entry.strip()]
+        found += [Wrong(words=(name, *words)) for words in _empty(kind)]
     return found + list(_files())
+
+
+def _empty(options: Any) -> Iterator[tuple[str, ...]]:
+    """Paths that are none, as an unset variable of a shell leaves them."""
+    hints = get_type_hints(options, include_extras=True)
+    for field in fields(options):
+        if _kind(hints[field.name]) is Path and not _positional(hints[field.name]):
+            yield (f"--{field.name.replace('_', '-')}", "")
 
 
 def _by_type(options: Any) -> Iterator[tuple[str, ...]]:
@@ -180,6 +225,12 @@ def _files() -> Iterator[Wrong]:
     for file in wrong_files.names("worlds"):
         if file.endswith(("unknown-base.toml", "no-toml.toml", "pipe.toml", "deep.toml")):
             yield Wrong(words=("tune", "--worlds", file))
+    for file in wrong_files.names("traffic"):
+        yield Wrong(words=(*stanley, "--traffic", file))
+    for file in wrong_files.names("cars"):
+        yield Wrong(words=(*stanley, "--car", file))
+    for file in wrong_files.names("recordings"):
+        yield Wrong(words=("replay", "--recording", file, "--out", "out"))
     for file in (*wrong_files.names("data"), "/dev/zero"):
         yield Wrong(words=("train", "--data", file))
     for kind in READERS:
@@ -259,6 +310,9 @@ def set_up(folder: Path) -> Iterator[None]:
     """Work in a folder that holds the wrong files."""
     wrong_files.write(folder)
     (folder / "empty-folder").mkdir(exist_ok=True)
+    for name, other in (("loop", "loop.csv"), ("loop.csv", "loop")):
+        if not (folder / name).is_symlink():
+            (folder / name).symlink_to(other)
     before = os.getcwd()
     os.chdir(folder)
     try:

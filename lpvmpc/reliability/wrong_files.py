@@ -37,6 +37,17 @@ ROADS: dict[str, str | bytes] = {
     "hexadecimal": _row(5, "0x10,0,4,4,10"),
     "too-many-columns": _row(5, "10,0,4,4,10,7"),
     "too-few-columns": _row(5, "10,0,4,4"),
+    "underscore": _row(5, "1_0,0,4,4,10"),
+    "other-digits": _row(5, "\u0661\u0660,0,4,4,10"),
+    "quoted": _row(5, '"10",0,4,4,10'),
+    "form-feed": _row(5, "10,0,\x0c,4,10"),
+    "zero-byte": _row(5, "1\x000,0,4,4,10"),
+    "latin-1": (_HEADER + _ROAD + "\n# ").encode() + b"\xe4\n",
+    "one-far-away": _row(5, "1e308,0,4,4,10"),
+    "endless-number": _HEADER + "1" * 10_000_000,
+    "speed-twice": "# x_m,y_m,vx_mps,vx_mps\n" + "\n".join(f"{x},0,9,9" for x in range(0, 60, 2)),
+    "race-line-backwards": "s_m; x_m; y_m; vx_mps\n" + "\n".join(
+        f"{x}; {x}; 0; -3" for x in range(0, 60, 2)),
     "decimal-comma": "# x_m;y_m\n" + "\n".join(f"{x},5;0,1" for x in range(20)),
     "negative-width": _row(5, "10,0,-4,4,10"),
     "wide": _row(5, "10,0,4,400,10"),
@@ -168,6 +179,79 @@ WORLDS: dict[str, str | bytes] = {
 }
 """World files."""
 
+WORLDS |= {
+    "latency-twice": "latency = 0.0\nlatency = 0.01\n",
+    "latency-a-date": "latency = 2020-01-01T00:00:00Z\n",
+    "latency-a-time": "latency = [07:32:00, 0.1]\n",
+    "car-twice": "[car]\nCf = 1.0\n[car]\nCr = 1.0\n",
+    "car-std-wide": "[car]\nCf = {mean = 1.0, std = 50.0}\n",
+    "car-mean-a-table": "[car]\nCf = {mean = {a = 1}, std = 0.1}\n",
+    "base-itself": 'base = "worlds/base-itself.toml"\n',
+    "base-a-list": 'base = ["rtk"]\n',
+    "sensing-rate": "[sensing]\nposition = {rate = nan}\n",
+    "sensing-rate-large": "[sensing]\nposition = {rate = 1e300}\n",
+    "sensing-measured-a-word": '[sensing]\nr = {measured = "no"}\n',
+    "sensing-always-lost": "[sensing]\nposition = {dropout = 1.0}\n",
+    "patches-endless": "patches = [[0.0, inf, 0.5]]\n",
+    "road-friction-infinite": "[road]\nfriction = [0.8, inf]\n",
+    "road-friction-below-zero": "[road]\nfriction = [-0.0, 0.0]\n",
+    "air-std-large": "[air]\nside_wind = {mean = 0, std = 1e308}\n",
+    "air-dense": "[air]\ndensity = 1e300\n",
+    "escape-in-a-name": '"\\u001b[31mlatency" = 1\n',
+    "a-pickle": b"\x80\x04\x95\x0b\0\0\0\0\0\0\0\x8c\x02os\x94.",
+}
+
+_USER = '[[user]]\nname = "x"\ns = 30\nspeed = 3\n'
+TRAFFIC: dict[str, str | bytes] = {
+    "empty": "",
+    "a-number": "user = 3\n",
+    "one-table": '[user]\nname = "x"\n',
+    "no-place": '[[user]]\nname = "x"\nspeed = 3\n',
+    "nowhere": _USER.replace("30", "nan"),
+    "far-away": _USER.replace("30", "1e9"),
+    "on-the-car": _USER.replace("30", "0"),
+    "backwards": _USER.replace("= 3\n", "= -3\n"),
+    "speed-a-word": _USER.replace("= 3\n", '= "fast"\n'),
+    "speed-empty": _USER.replace("= 3\n", "= []\n"),
+    "time-backwards": _USER.replace("= 3\n", "= [[5, 1], [0, 1]]\n"),
+    "no-length": _USER + "length = 0\n",
+    "wide": _USER + "width = 1e9\n",
+    "side": _USER + 'side = "up"\n',
+    "unknown": _USER + 'colour = "red"\n',
+    "name-a-number": _USER.replace('"x"', "3"),
+    "name-obeyed": _USER.replace('"x"', '"\\u001b[2J"'),
+    "name-twice": 2 * _USER,
+    "crowd": "".join(_USER.replace('"x"', f'"{i}"') for i in range(5000)),
+    "deep": "user = " + "[" * 100_000,
+    "binary": bytes(range(128, 256)),
+}
+"""Traffic files."""
+
+_DROVE = "t_s,delta_rad,vx_mps,r_radps\n"
+RECORDINGS: dict[str, str | bytes] = {
+    "empty": "",
+    "other-columns": "time,steer\n1,2\n2,3\n",
+    "one-row": _DROVE + "0,0,10,0\n",
+    "nan": _DROVE + "".join(f"{0.1 * i},nan,10,0\n" for i in range(100)),
+    "a-word": _DROVE + "".join(f"{0.1 * i},left,10,0\n" for i in range(100)),
+    "time-backwards": _DROVE + "".join(f"{-0.1 * i},0,10,0\n" for i in range(100)),
+    "slow-motion": _DROVE + "".join(f"{1e6 * i},0,10,0\n" for i in range(100)),
+    "in-degrees": _DROVE + "".join(f"{0.1 * i},90,10,0\n" for i in range(100)),
+    "binary": bytes(range(128, 256)),
+}
+"""Recordings of a car."""
+
+_BOMB = "".join(f'<!ENTITY {b} "{f"&{a};" * 10}">' for a, b in zip("abcde", "bcdef", strict=True))
+CARS: dict[str, str | bytes] = {
+    "empty": "",
+    "no-xml": "not xml",
+    "no-car": "<mujoco/>",
+    "itself": "<mujoco><include file='itself.xml'/></mujoco>",
+    "entities": f'<!DOCTYPE l [<!ENTITY a "aaaaaaaaaa">{_BOMB}]><mujoco model="&f;"/>',
+    "binary": bytes(range(128, 256)),
+}
+"""Models of a car."""
+
 _TIR = "[UNITS]\nLENGTH = 'meter'\nFORCE = 'newton'\nANGLE = 'radians'\n"
 TIRES: dict[str, str | bytes] = {
     "empty": "",
@@ -233,6 +317,9 @@ KINDS: tuple[tuple[str, str, dict[str, str | bytes]], ...] = (
     ("roads", ".csv", ROADS),
     ("weights", ".toml", WEIGHTS),
     ("worlds", ".toml", WORLDS),
+    ("traffic", ".toml", TRAFFIC),
+    ("recordings", ".csv", RECORDINGS),
+    ("cars", ".xml", CARS),
     ("tires", ".tir", TIRES),
     ("networks", ".safetensors", NETWORKS),
     ("data", ".parquet", DATA),

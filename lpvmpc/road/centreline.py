@@ -221,9 +221,11 @@ def _checked(xy: Array, closed: bool | None, grid: float) -> tuple[Array, bool]:
     if steps.min() < 1e-6:
         i = int(np.argmin(steps))
         raise PathError(f"Points {i + 1} and {i + 2} of the road are the same.")
-    if steps.sum() < MIN_LENGTH or steps.sum() > MAX_POINTS * grid:
+    with np.errstate(over="ignore"):
+        length = steps.sum()
+    if length < MIN_LENGTH or length > MAX_POINTS * grid:
         raise PathError(
-            f"The road is {steps.sum():.6g} m long, but must be from {MIN_LENGTH:g} m to "
+            f"The road is {length:.6g} m long, but must be from {MIN_LENGTH:g} m to "
             f"{MAX_POINTS * grid:g} m."
         )
     meet = ends_meet(xy)

@@ -133,17 +133,18 @@ def _names(names: list[str] | None, width: int, file: FilePath) -> list[str]:
 
 def _numbers(words: list[str], where: str) -> list[float]:
     """The numbers of one line, all finite."""
-    try:
-        values = [float(word) for word in words]
-    except ValueError:
-        bad = next(word for word in words if not _is_number(word))
-        raise PathError(f"{where} holds {_short(bad)!r}, which is not a number.") from None
+    bad = next((word for word in words if not _is_number(word)), None)
+    if bad is not None:
+        raise PathError(f"{where} holds {_short(bad)!r}, which is not a number.")
+    values = [float(word) for word in words]
     if not all(math.isfinite(value) for value in values):
         raise PathError(f"{where} holds NaN or infinity, but all numbers must be finite.")
     return values
 
 
 def _is_number(word: str) -> bool:
+    if "_" in word or not word.isascii():  # Python would read 1_0 as ten
+        return False
     try:
         float(word)
     except ValueError:

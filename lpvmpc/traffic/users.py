@@ -54,8 +54,9 @@ class RoadUser:
     def __post_init__(self) -> None:
         """Refuse what cannot be on a road."""
         what = f"of road user {self.name!r}"
-        if not isinstance(self.name, str) or not self.name.strip() or len(self.name) > 60:
-            raise OptionError("name of a road user", self.name, "1 to 60 characters")
+        named = isinstance(self.name, str) and self.name.isprintable() and self.name.strip()
+        if not named or len(self.name) > 60:
+            raise OptionError("name of a road user", self.name, "1 to 60 printable characters")
         for key, low, high, unit in (
             ("s", 0.0, 1e6, "m"), ("ey", -50.0, 50.0, "m"), ("length", 0.1, 30.0, "m"),
             ("width", 0.1, 5.0, "m"), ("height", 0.1, 6.0, "m"),

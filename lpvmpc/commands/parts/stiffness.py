@@ -44,8 +44,7 @@ def main(options: Options) -> int:
     cli.check_number("--jobs", options.jobs, 1, 10_000)
     cli.check_opengl()
     out = cli.writable_folder(options.out)
-    if options.json is not None:
-        cli.writable_folder(options.json.parent)
+    cli.result_file(options.json)
     from lpvmpc.learn import driven, driven_report
     from lpvmpc.sim import batch
 
