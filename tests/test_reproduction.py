@@ -31,7 +31,8 @@ from lpvmpc.tune import genetic, sphere, tuning
 
 WEIGHTS = {
     OURS: {"q_ey": 80.0, "terminal": 1.0}, PLAIN: {"q_ey": 80.0, "terminal": 0.0},
-    LMPC: {"q_ey": 80.0}, "stanley": {"k": 1.0}, "pure-pursuit": {"k": 1.0},
+    LMPC: {"q_ey": 80.0}, "lmpc-pso-pid": {"q_ey": 80.0}, "stanley": {"k": 1.0},
+    "pure-pursuit": {"k": 1.0},
 }
 
 

@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lpvmpc.control.registry import CORE
 from lpvmpc.kit import cli
 from lpvmpc.kit.files import replacing
 from lpvmpc.kit.findings import promises_sentence
@@ -59,8 +58,7 @@ def main(options: Options) -> int:
     out = options.out or (QUICK_OUT if options.quick else Path("docs/results"))
     cli.results_folder(out, NAME)
     cache = cli.results_folder(options.cache)
-    if options.json is not None:
-        cli.writable_folder(options.json.parent)
+    cli.result_file(options.json)
     jobs, start = options.jobs or cli.cores(), time.perf_counter()
     from lpvmpc.paper import figures, measurements, report
 
@@ -96,11 +94,11 @@ def main(options: Options) -> int:
 
 def retune(cache: Path, jobs: int, quick: bool, say: Say) -> dict[str, Tuning]:
     """Every controller's weights tuned anew; a quick look does a handful of evaluations."""
-    from lpvmpc.paper import records, retrain
+    from lpvmpc.paper import records, retrain, runs
     from lpvmpc.tune import tuning
 
     found = {}
-    for name in CORE:
+    for name in runs.DRIVEN:
         task = tuning.Task(controller=name)
         folder = cache / "tuning" / name
         if quick:

@@ -288,10 +288,10 @@ def _records(
         )
     known = dict(tunings or {})
     if tunings is None and folder is not None:
-        for name in records.CORE:
+        for name in runs.DRIVEN:
             if (one := records.read_tuning(folder / "tuning" / name)) is not None:
                 known[name] = one
-        lacking = [name for name in records.CORE if name not in known]
+        lacking = [name for name in runs.DRIVEN if name not in known]
         if lacking:
             missing.append(f"No record of a tuning is published for {', '.join(lacking)}.")
     trainings = {}

@@ -13,9 +13,9 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, TypeVar
 
-from lpvmpc.control.registry import CORE
 from lpvmpc.control.weights_file import as_dict, read_weights, shipped_file
 from lpvmpc.errors import DataError, LPVMPCError
+from lpvmpc.paper.runs import DRIVEN
 from lpvmpc.sim.names import load_controller
 from lpvmpc.tune import tuning
 
@@ -182,7 +182,7 @@ def _parsed(parse: Callable[[], T], folder: Path) -> T:
 def weights_by_hand() -> dict[str, dict[str, float]]:
     """The weights set by hand, of all controllers."""
     found = {}
-    for name in CORE:
+    for name in DRIVEN:
         made: Any = load_controller(name, weights={})
         found[name] = as_dict(made.weights)
     return found

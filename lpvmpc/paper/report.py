@@ -42,7 +42,9 @@ reference's time; tables say where. In means and ratios a lost run \
 is charged 5 m as its RMSE.
 - `lpv-mpc` is our controller; `lpv-mpc-paper` the paper's plain formulation on the corrected \
 matrices, with constant stiffness; `lpv-mpc-paper + network` the same with the stiffness that the \
-paper's network predicts, the paper's controller; `lmpc-pso-pid` its baseline.
+paper's network predicts, the paper's controller; `lmpc-pso-pid-plain` its baseline, \
+`lmpc-pso-pid` the same with the protections of `lpv-mpc` (slip cap, traction control, led back \
+from afar, a tuned stiffness), as docs/results/worlds.md and benchmark.md drive it.
 - Times are CPU time of the thread. Times of controllers are compared as ratios of the best of \
 their runs. Everything else depends on seeds and versions alone: a run has no spread.
 """

@@ -13,8 +13,11 @@ from lpvmpc.control.registry import CORE
 from lpvmpc.paper.printed_formulas import SLIPS, controller
 from lpvmpc.sim.batch import Run
 
-OURS, PLAIN, LMPC = "lpv-mpc", "lpv-mpc-paper", "lmpc-pso-pid"
-"""Our controller, the paper's plain formulation of it, and the paper's baseline."""
+OURS, PLAIN, LMPC = "lpv-mpc", "lpv-mpc-paper", "lmpc-pso-pid-plain"
+"""Our controller, the paper's plain formulation of it, and the paper's baseline, which has none of
+the protections of `lmpc-pso-pid`: its own weights, not those tuned with protections."""
+DRIVEN = tuple(name for core in CORE for name in ((core, LMPC) if core == PLAIN else (core,)))
+"""All that are driven, in the order of the tables."""
 PAPERS = "lpv-mpc-paper + network"
 """The paper's controller on the corrected formulas: the plain formulation, its network. A line of
 the tables, not a name of a controller."""
@@ -98,8 +101,6 @@ class Equipment:
         """
         weights = dict(self.by_hand[name]) if by_hand else self.weights(name)
         options: dict[str, Any] = {"weights": {**weights, **changes}}
-        if name == LMPC:  # the paper's baseline has no protections
-            options["protect"] = False
         stiffness = stiffness or ("network" if name == OURS else None)
         if stiffness is not None:
             options["stiffness"] = stiffness
@@ -189,7 +190,7 @@ def entries(equipment: Equipment) -> list[Entry]:
 def _controllers(equipment: Equipment) -> Iterable[Entry]:
     """All controllers; those without tuned weights drive by hand in both groups."""
     for group, by_hand in (("tuned", False), ("by hand", True)):
-        for name in CORE:
+        for name in DRIVEN:
             yield Entry(group=group, key=name, text=name, controller=name,
                         options=equipment.options(name, by_hand=by_hand))
             if name == PLAIN:

@@ -6,11 +6,10 @@ import math
 from collections.abc import Callable, Sequence
 
 from lpvmpc.bench.cases import geometric_mean
-from lpvmpc.control.registry import CORE
 from lpvmpc.paper.measurements import DrivenEntry, Evidence
 from lpvmpc.paper.printed_formulas import SLIPS
 from lpvmpc.paper.printed_numbers import PAPER_RATIO, ratio
-from lpvmpc.paper.runs import OURS, PAPERS
+from lpvmpc.paper.runs import DRIVEN, OURS, PAPERS
 from lpvmpc.published import TRACKING
 from lpvmpc.tune import sphere
 
@@ -164,7 +163,7 @@ def _without(e: Evidence) -> str | None:
 def _weights(e: Evidence) -> str | None:
     """What tuning has changed, per controller."""
     parts = []
-    for name in CORE:
+    for name in DRIVEN:
         if name not in e.equipment.tuned:
             continue
         tuned, by_hand = ([row for row in e.rows if row.entry.group == group
