@@ -86,12 +86,31 @@ def headline():
 
 def speeds():
     runs = json.loads((ROOT / "docs" / "results" / "paper.json").read_text())["runs"]
-    ours, theirs = (
+    ours, theirs, plain = (
         next(r["speed_rmse_mps"] for r in runs
              if (r["group"], r["line"], r["road"]) == ("tuned", name, "paper"))
-        for name in ("lpv-mpc", "lmpc-pso-pid")
+        for name in ("lpv-mpc", "lmpc-pso-pid", "lpv-mpc-paper")
     )
-    yield f"the speed's RMSE is {ours:.2g} m/s, the baseline's {theirs:.2g}"
+    yield (f"the speed's RMSE is {ours:.2g} m/s, that of `lmpc-pso-pid` {theirs:.2g}, that of "
+           f"`lpv-mpc-paper` {plain:.2g}")
+
+
+def near():
+    """What the leaderboard says of the rival that is nearest, against us first of all."""
+    found = json.loads((ROOT / "docs" / "results" / "benchmark.json").read_text())
+    ratio, = (p["ratio"] for p in found["pairs"]
+              if (p["world"], p["second"]) == ("all worlds", "lqr") and p["first"] == "lpv-mpc")
+    rank, = (r for r in found["ranks"] if r["over"] == "all drawn worlds")
+    assert ["lpv-mpc", "lqr"] in rank["groups"]
+    largest = {(s["world"], s["controller"]): s["largest_p95_m"] for s in found["scores"]
+               if (s["cells"], s["course"]) == ("full", "all")}
+    others = {name for _, name in largest} - {"lpv-mpc"}
+    ahead = [(world, name) for world in ("ideal", "rtk", "production", "fleet") for name in others
+             if (largest[world, name] or 9.0) < largest[world, "lpv-mpc"]]
+    assert ahead == [("fleet", "lqr")]
+    yield f"its RMSE is {ratio:.2f} times that of `lpv-mpc` (median of the paired runs)"
+    ours, theirs = (1e3 * largest["fleet", name] for name in ("lpv-mpc", "lqr"))
+    yield f"(95th percentile {theirs:.0f} mm against {ours:.0f})"
 
 
 def resolution():
@@ -160,7 +179,7 @@ def searched():
 
 MEASURED = {
     "docs/derivations.md": (searched,),
-    "README.md": (headline, speeds, shortcomings, resolution, printed),
+    "README.md": (headline, speeds, near, shortcomings, resolution, printed),
     "docs/dataset.md": (fits,),
 }
 
