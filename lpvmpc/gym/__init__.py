@@ -1,7 +1,7 @@
 """Gymnasium environments: `lpvmpc/Track-v0`, one car, and `lpvmpc/TrackVec-v0`, many at once.
 
     import gymnasium, lpvmpc.gym
-    env = gymnasium.make("lpvmpc/Track-v0", world="rtk")
+    env = gymnasium.make("lpvmpc/Track-v0", worlds=["rtk"])
     cars = gymnasium.make_vec("lpvmpc/TrackVec-v0", num_envs=64)
 
 Where lpvmpc is installed, gymnasium registers them by itself (entry point `gymnasium.envs`); only

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,7 @@ from lpvmpc.control.rivals.observation import (
     command_of,
 )
 from lpvmpc.errors import LPVMPCError, OptionError, UnknownNameError
-from lpvmpc.gym import seeing
+from lpvmpc.gym import checks, seeing
 from lpvmpc.gym.one import One, Starts
 from lpvmpc.gym.others import ENTRIES, Others
 from lpvmpc.gym.roads import Roads
@@ -33,6 +33,7 @@ from lpvmpc.plant.plant import Plant
 from lpvmpc.plant.rollout import SPIN_QVEL, STEER, WIND_X, WIND_Y
 from lpvmpc.sim.ending import EPSI_LOST, EY_LOST, STUCK_SPEED, STUCK_TIME, VERGE
 from lpvmpc.sim.world import World, load_world
+from lpvmpc.traffic.users import check_name
 from lpvmpc.traffic.watch import Pose
 from lpvmpc.units import Array
 
@@ -40,8 +41,6 @@ ROLL_LOST = math.radians(60.0)
 """A car that leans further has rolled over [rad]."""
 SEES = ("estimate", "truth")
 """What may be observed: the estimate of the world's sensors, or the true state."""
-OWN = ("road", "world", "s", "ey", "epsi", "vx")
-"""What `reset(options=...)` may fix for an episode instead of drawing it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,14 +74,40 @@ class Setting:
         """Check what is given."""
         if isinstance(self.roads, str) or not self.roads:
             raise OptionError("roads", self.roads, "one or more names of scenarios, as a list")
+        for road in self.roads:
+            if not isinstance(road, str | os.PathLike):
+                raise OptionError("roads", self.roads, "names of scenarios or CSV files")
+        if not isinstance(self.scenario_options, Mapping):
+            raise OptionError("scenario_options", self.scenario_options,
+                              "a dictionary of options of load_scenario")
         if isinstance(self.worlds, str | Mapping) or not self.worlds:
             raise OptionError("worlds", self.worlds, "one or more worlds, as a list")
+        for world in self.worlds:
+            if not isinstance(world, str | os.PathLike | Mapping | World):
+                raise OptionError("worlds", self.worlds, "names, TOML files, or their contents")
+        if not isinstance(self.random_start, bool | np.bool_):
+            raise OptionError("random_start", self.random_start, "True or False")
         if self.observe not in SEES:
             raise OptionError("observe", self.observe, " or ".join(SEES))
-        if type(self.max_steps) is not int or not 1 <= self.max_steps <= 1_000_000:
-            raise OptionError("max_steps", self.max_steps, "a whole number from 1 to 1,000,000")
+        checks.whole("max_steps", self.max_steps, 1, 1_000_000)
         if not isinstance(self.traffic, str | os.PathLike | None):
             raise OptionError("traffic", self.traffic, "a name, a TOML file, or None")
+        if self.traffic is not None:
+            check_name(self.traffic)
+
+
+def setting_of(given: Mapping[str, Any]) -> Setting:
+    """A Setting from what an environment was given besides.
+
+    Raises:
+        UnknownNameError: An option that there is not, or no such world.
+        OptionError: A value outside its domain.
+    """
+    known = [field.name for field in fields(Setting)]
+    for name in given:
+        if name not in known:
+            raise UnknownNameError("option of the environment", name, known)
+    return Setting(**given)
 
 
 class Cars:
@@ -90,11 +115,11 @@ class Cars:
 
     def __init__(self, n: int, setting: Setting, threads: int = 0) -> None:
         """Args: number of cars, what their episodes are drawn from, threads (0: all cores)."""
-        if type(n) is not int or not 1 <= n <= 100_000:
-            raise OptionError("num_envs", n, "a whole number from 1 to 100,000")
+        checks.whole("num_envs", n, 1, 100_000)
+        checks.whole("threads", threads, 0, 1024)
         self.n, self.setting = n, setting
         self.worlds = [load_world(world) for world in setting.worlds]
-        self.roads = Roads(tuple(setting.roads), **setting.scenario_options)
+        self.roads = Roads(tuple(map(os.fspath, setting.roads)), setting.scenario_options)
         self.plant = Plant()
         self.starts = Starts(self.plant)
         self.batch = Batch(self.plant.nominal_model, n, threads)
@@ -132,15 +157,12 @@ class Cars:
         Args:
             which: Their numbers.
             rngs: A generator for each of all N cars.
-            options: What to fix instead of drawing, see `OWN`.
+            options: What to fix instead of drawing, see `checks.OWN`.
 
         Raises:
             OptionError, UnknownNameError: Something in the options that there is not.
         """
-        own = dict(options or {})
-        for name in own:
-            if name not in OWN:
-                raise UnknownNameError("option of reset", name, OWN)
+        own = checks.start_of(options)
         changed = False
         for i in which:
             changed |= self._reset_one(i, rngs[i], own)
@@ -153,6 +175,7 @@ class Cars:
 
     def _reset_one(self, i: int, rng: np.random.Generator, own: dict[str, Any]) -> bool:
         """Draw an episode for car i; whether the models of the batch have changed."""
+        old, self.ones[i] = self.ones[i], None  # whatever fails below, this one has not begun
         names = self.roads.names
         name = str(own.get("road", names[int(rng.integers(len(names)))]))
         world = self.worlds[int(rng.integers(len(self.worlds)))]
@@ -164,13 +187,14 @@ class Cars:
         length = scenario.path.length
         room = length if scenario.path.closed else max(length - 60.0, 0.0)
         s = float(own.get("s", 0.5 * (draws[0] + 1.0) * room))
+        if s > length:
+            raise OptionError("s", s, f"at most the length of {name}, {length:.1f} m")
         ey, epsi = float(own.get("ey", 0.5 * draws[1])), float(own.get("epsi", 0.05 * draws[2]))
         x, y, psi, kappa = (float(value) for value in scenario.path.at(s))
         reference = float(np.interp(s % length if scenario.path.closed else s, np.linspace(
             0.0, scenario.speed.length, len(scenario.speed.vx)), scenario.speed.vx))
         vx = float(own.get("vx", reference * (0.9 + 0.1 * draws[3])))
         x, y = x - ey * math.sin(psi), y + ey * math.cos(psi)
-        old = self.ones[i]
         estimate = self.setting.observe == "estimate"
         one = One(world, scenario, self.starts, self.userdata[i], estimate, rng)
         self.ones[i] = one
@@ -205,9 +229,7 @@ class Cars:
         Raises:
             LPVMPCError: An action is not finite.
         """
-        given = np.asarray(actions, dtype=np.float64)
-        if given.shape != (self.n, 2) or not np.isfinite(given).all():
-            raise LPVMPCError(f"Actions must be finite numbers of shape {(self.n, 2)}.")
+        given = checks.actions_of(actions, (self.n, 2))
         before = self.last
         self.last = np.clip(given, -1.0, 1.0)
         push = self.last[:, 1]
@@ -217,7 +239,7 @@ class Cars:
         tilted = False
         for i, one in enumerate(self.ones):
             if one is None:
-                raise LPVMPCError("An environment must be reset before its first step.")
+                raise LPVMPCError(checks.UNBEGUN)
             if one.uneven:
                 tilted |= one.lay(self.where[i, seeing.S], self.where[i, seeing.PSI])
             if one.windy:

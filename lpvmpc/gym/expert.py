@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from lpvmpc.control.rivals.observation import action_of
 from lpvmpc.errors import OptionError
-from lpvmpc.gym.cars import Cars, Setting
+from lpvmpc.gym.cars import Cars, setting_of
 from lpvmpc.interface import declared
 from lpvmpc.kit.files import write_table
 from lpvmpc.sim.names import load_controller
@@ -50,7 +50,7 @@ def demonstrate(
     expert = load_controller(controller)
     about = declared(expert)
     rng = np.random.default_rng(seed)
-    cars = Cars(1, Setting(**setting), threads=1)
+    cars = Cars(1, setting_of(setting), threads=1)
     found: dict[str, npt.NDArray[Any]] = {
         "observations": np.zeros((steps, len(cars.entries)), dtype=np.float32),
         "actions": np.zeros((steps, 2), dtype=np.float32),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -15,21 +16,32 @@ SPEED, WIDTHS = 4, 5
 
 
 class Roads:
-    """Scenarios by name, each read when it is first driven.
+    """Scenarios by name; random ones are made when they are first driven.
 
     `table` holds x, y, psi [m, rad], kappa [1/m], vx_ref [m/s] and the widths right and left [m] of
     all roads, one under the other; `index` has first row, last row + 1, and whether it is closed;
     `spacing` the distance of the rows [m].
     """
 
-    def __init__(self, names: tuple[str, ...], **options: Any) -> None:
-        """Args: names of scenarios or CSV files; options of `load_scenario`, for all of them."""
+    def __init__(self, names: tuple[str, ...], options: Mapping[str, Any]) -> None:
+        """Read those that may not be there.
+
+        Args:
+            names: Scenarios or CSV files.
+            options: Of `load_scenario`, for all of them.
+
+        Raises:
+            UnknownNameError, OptionError, PathError: There is no such road.
+        """
         self.names, self.options = names, options
         self.scenarios: list[Scenario] = []
         self._number: dict[str, int] = {}
         self.table: Array = np.zeros((0, 7))
         self.index = np.zeros((0, 3), dtype=np.int64)
         self.spacing: Array = np.zeros(0)
+        for name in names:  # the first one tells of options that there are not
+            if name == names[0] or not name.startswith("random-"):
+                self.number(name)
 
     def number(self, name: str) -> int:
         """Row of a road in `index`.

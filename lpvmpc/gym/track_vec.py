@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,9 +11,9 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from lpvmpc.errors import OptionError
-from lpvmpc.gym import seeing
-from lpvmpc.gym.cars import Cars, Setting
+from lpvmpc.errors import LPVMPCError, OptionError
+from lpvmpc.gym import checks, seeing
+from lpvmpc.gym.cars import Cars, setting_of
 from lpvmpc.gym.track import ACTION, FPS, IN_TRAFFIC, OBSERVATION
 from lpvmpc.gym.window import Window
 
@@ -51,11 +52,16 @@ class TrackVecEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDArray[n
         """
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise OptionError("render_mode", render_mode, "None or 'rgb_array'")
-        self.mode = AutoresetMode(autoreset_mode)
+        try:
+            self.mode = AutoresetMode(autoreset_mode)
+        except ValueError:
+            allowed = ", ".join(mode.value for mode in AutoresetMode)
+            raise OptionError("autoreset_mode", autoreset_mode, f"one of {allowed}") from None
+        checks.size(width, height)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.mode}
         self.render_mode = render_mode
         self.num_envs = num_envs
-        self.cars = Cars(num_envs, Setting(**setting), threads)
+        self.cars = Cars(num_envs, setting_of(setting), threads)
         seen = OBSERVATION if self.cars.others is None else IN_TRAFFIC
         self.single_observation_space, self.single_action_space = seen, ACTION
         self.observation_space = batch_space(seen, num_envs)
@@ -73,14 +79,18 @@ class TrackVecEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDArray[n
             seed: Car i's seed is this plus i, or the i-th; None goes on with what there is.
             options: reset_mask; and road, world, s, ey, epsi, vx to fix instead of drawing them.
         """
+        self._check_open()
+        if not isinstance(options, Mapping | None):
+            raise OptionError("options", options, "a dictionary")
         own = dict(options or {})
         mask = np.asarray(own.pop("reset_mask", np.ones(self.num_envs, dtype=bool)))
         if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
             raise OptionError("reset_mask", mask, f"a mask of shape ({self.num_envs},), not empty")
         if isinstance(seed, int | np.integer):
             seed = [int(seed) + i for i in range(self.num_envs)]
-        if seed is not None and len(seed) != self.num_envs:
-            raise OptionError("seed", seed, f"one number, or {self.num_envs}")
+        if seed is not None and not (isinstance(seed, Sequence | np.ndarray)
+                                     and len(seed) == self.num_envs):
+            raise OptionError("seed", seed, f"one whole number, or {self.num_envs}")
         which = np.flatnonzero(mask).tolist()
         for i in which:
             if seed is not None and seed[i] is not None:
@@ -92,7 +102,13 @@ class TrackVecEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDArray[n
     def step(  # type: ignore[override]
         self, actions: npt.NDArray[np.float32]
     ) -> tuple[Observations, npt.NDArray[np.float64], Flags, Flags, dict[str, Any]]:
-        """Drive all cars for one control period of 33 ms."""
+        """Drive all cars for one control period of 33 ms; what is beyond -1 and 1 is cut.
+
+        Raises:
+            LPVMPCError: Actions that are no finite numbers of shape (N, 2); a car whose episode has
+                not begun, or has ended and is to be reset by hand; it is closed.
+        """
+        self._check_open()
         cars, ended = self.cars, self._ended.copy()
         if self.mode == AutoresetMode.DISABLED and ended.any():
             raise OptionError("step", np.flatnonzero(ended).tolist(), "cars that have been reset")
@@ -114,6 +130,10 @@ class TrackVecEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDArray[n
             self._ended[:] = False
         return cars.observations(), reward, lost, over, {**self._told(None), **info}
 
+    def _check_open(self) -> None:
+        if self.closed:
+            raise LPVMPCError(checks.CLOSED)
+
     def _told(self, mask: Flags | None) -> dict[str, Any]:
         """Numbers of the truth, by name, of all cars or of those of a mask."""
         there = np.ones(self.num_envs, dtype=bool) if mask is None else mask.copy()
@@ -130,6 +150,9 @@ class TrackVecEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDArray[n
         """A picture of each car, shape (height, width, 3)."""
         if not self._windows:
             return None
+        self._check_open()
+        if any(one is None for one in self.cars.ones):
+            raise LPVMPCError(checks.UNBEGUN)
         cars, pictures = self.cars, []
         for i in range(self.num_envs):
             number = int(cars.road[i])

@@ -151,13 +151,8 @@ def load_traffic(name_or_file: str | os.PathLike[str], scenario: Scenario) -> Tr
         OptionError: A value outside its domain; a user beyond the road's end or on the start line.
         DataError: The file cannot be read.
     """
-    given = os.fspath(name_or_file)
-    if given in PRESETS:
-        users = PRESETS[given](scenario)
-    elif given.lower().endswith(".toml"):
-        users = _from_toml(FilePath(given))
-    else:
-        raise UnknownNameError("traffic", given, [*PRESETS, "FILE.toml"])
+    given = check_name(name_or_file)
+    users = PRESETS[given](scenario) if given in PRESETS else _from_toml(FilePath(given))
     length = scenario.path.length
     for user in users:
         if user.s > length:
@@ -171,6 +166,18 @@ def load_traffic(name_or_file: str | os.PathLike[str], scenario: Scenario) -> Tr
                 "the car stands",
             )
     return Traffic(scenario.path, users)
+
+
+def check_name(name_or_file: str | os.PathLike[str]) -> str:
+    """The name of traffic or of a TOML file, as text.
+
+    Raises:
+        UnknownNameError: It can be neither.
+    """
+    given = os.fspath(name_or_file)
+    if given not in PRESETS and not given.lower().endswith(".toml"):
+        raise UnknownNameError("traffic", given, [*PRESETS, "FILE.toml"])
+    return given
 
 
 def _from_toml(file: FilePath) -> tuple[RoadUser, ...]:
