@@ -101,6 +101,7 @@ def test_the_calibration_runs_two_processes(monkeypatch):
     assert 0.02 < named["two_process_scaling"] < 4.0
 
 
+@pytest.mark.slow
 def test_many_closed_loops_are_driven_both_ways():
     figures = speed_together.measure_together(180.0, rounds=1, cars=(1, 2), laps=2)
     named = {f.key: f.value for f in figures}
