@@ -129,6 +129,7 @@ def test_a_search_is_timed_where_it_is_asked_for(run, short, monkeypatch):
     code, out, _ = run("--quick", "--search")
     assert code == 0 and asked == [(cores(), 1, 4)]
     assert "Bars not met: a search (Search of weights)." in out
+    assert "Made by `python eval/speed.py --search`" in out
 
 
 @pytest.mark.skipif(not Path("/proc/stat").exists(), reason="only Linux tells others' work")

@@ -48,6 +48,8 @@ the same bytes. "At best" is what the share of the physics allows where all else
 thread and nothing is lost. Tune, worlds and benchmark use the faster way, processes.
 - search: `lpvmpc tune --worlds ideal`, from the start of its processes to the last generation.
 """
+SEARCH = "Search of weights"
+"""Title of the section that is made where it is asked for."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +86,7 @@ def main(options: Options) -> int:
 
         say("a search")
         searched = measure_search(cli.cores(), *((1, 4) if options.quick else ()))
-        sections.append(("Search of weights", searched))
+        sections.append((SEARCH, searched))
     figures = [figure for _, section in sections for figure in section]
     load = meanwhile.describe()
     text = report(sections, rounds, load)
@@ -170,7 +172,9 @@ def report(sections: list[tuple[str, list[Figure]]], rounds: int, load: str) -> 
     ]
     lines.append(f"Bars not met: {'; '.join(bad)}." if bad else "All bars are met.")
     lines.append("None was set after a result had been seen.")
-    lines += ["", "Made by `python eval/speed.py`; the rounds are in speed.csv beside this file."]
+    searched = any(title == SEARCH for title, _ in sections)
+    command = "python eval/speed.py" + " --search" * searched
+    lines += ["", f"Made by `{command}`; the rounds are in speed.csv beside this file."]
     return "\n".join(lines) + "\n"
 
 
