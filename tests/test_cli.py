@@ -158,6 +158,27 @@ def test_a_wrong_opengl_is_ignored_with_one_sentence(monkeypatch, capsys, backen
     assert err.count("\n") == 1 and "\x1b" not in err and len(err) < 1500
 
 
+@pytest.mark.parametrize(("name", "value", "fine"), [
+    ("MPLBACKEND", "nonsense", "module://matplotlib_inline.backend_inline"),
+    ("NUMBA_NUM_THREADS", "0", "2"), ("NUMBA_NUM_THREADS", "-1", "128"),
+])
+def test_a_setting_that_a_library_would_refuse_is_ignored_aloud(monkeypatch, capsys, name, value,
+                                                                fine):
+    monkeypatch.setenv(name, fine)
+    cli.check_environment()
+    assert os.environ[name] == fine and capsys.readouterr().err == ""
+    monkeypatch.setenv(name, value)
+    cli.check_environment()
+    assert name not in os.environ
+    assert capsys.readouterr().err.startswith(f"Warning: {name} is {value}, but must be ")
+
+
+def test_every_backend_of_matplotlib_is_known():
+    from matplotlib.backends import backend_registry
+
+    assert set(backend_registry.list_builtin()) <= set(cli.MPL)
+
+
 def test_a_message_is_one_line_that_no_terminal_obeys():
     assert cli.one_line("a\n b\x1b[31m\x07 \udcff") == "a b\\x1b[31m\\x07 \\udcff"
     assert len(cli.one_line("x" * 10**6)) < 1100 and cli.one_line("é[red]") == "é[red]"

@@ -76,6 +76,14 @@ def test_what_is_wrong_is_one_sentence(words, sentence, capsys):
     assert capsys.readouterr() == ("", "")
 
 
+@pytest.mark.parametrize("columns", ["1", "2", "5", "-3", "x"])
+def test_the_help_comes_whatever_the_terminal_says_of_its_width(columns, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", columns)
+    with pytest.raises(SystemExit):
+        parse(Options, ["--help"])
+    assert "--laps" in capsys.readouterr().out
+
+
 def test_the_help_fits_80_columns_and_tells_defaults_once(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     with pytest.raises(SystemExit) as stop:

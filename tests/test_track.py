@@ -40,6 +40,15 @@ def write_csv(path, points, speed=10.0):
     return path
 
 
+def test_a_picture_that_fails_does_not_cost_the_run(run, road, tmp_path, monkeypatch):
+    monkeypatch.setattr(figures, "save_all", lambda log, folder: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        run("--scenario", road, "--controller", "stanley")
+    folder = tmp_path / "runs" / "road-stanley"
+    assert json.loads((folder / "metrics.json").read_text())["completed"]
+    assert (folder / "trace.parquet").exists() and not (folder / "figures").exists()
+
+
 # A run that works -------------------------------------------------------------------------------
 
 

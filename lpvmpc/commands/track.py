@@ -336,25 +336,31 @@ def record_of(options: Options, log: Log) -> dict[str, Any]:
 def save(options: Options, log: Log, content: dict[str, Any], out: Path) -> bool:
     """Write trace, timing, figures, export and metrics.json, all together.
 
+    An error of figures or export is raised in the end: what was measured is saved without them.
+
     Returns:
         False after an interrupt.
     """
     from lpvmpc.export.stored import sealed
 
-    whole = log.meta["reason"] != "interrupted"
+    whole, failed = log.meta["reason"] != "interrupted", None
     with replacing(out, RESULTS) as new:
         log.write(new)
         content = sealed(content, new)
-        if options.export is not None:
-            export(log, content, new, options.export)
-        if whole and len(log) > 1:
-            try:
+        try:
+            if options.export is not None:
+                export(log, content, new, options.export)
+            if whole and len(log) > 1:
                 from lpvmpc.picture.figures import save_all
 
                 save_all(log, new / "figures")
-            except KeyboardInterrupt:  # the figures are given up, the measurements are not
-                whole = False
+        except KeyboardInterrupt:  # the figures are given up, the measurements are not
+            whole = False
+        except Exception as error:
+            failed = error
         write_json(new / "metrics.json", content)
+    if failed is not None:
+        raise failed
     if options.json is not None:
         write_json(options.json, {k: v for k, v in content.items() if k != "record"})
     return whole

@@ -33,6 +33,12 @@ LONGEST = 1000
 """Most characters of a message: a name on the command line may have any length."""
 WRITTEN = ("json", "save_push", "out")
 """Options that name a file of results."""
+MPL = (
+    "agg", "cairo", "pdf", "pgf", "ps", "svg", "template", "macosx", "nbagg", "notebook", "webagg",
+    *(kit + canvas for kit in ("gtk3", "gtk4", "qt", "qt5", "tk", "wx")
+      for canvas in ("agg", "cairo")), "wx",
+)
+"""Backends of matplotlib, none of which is used here."""
 NO_CACHE = "cannot cache function"
 """How numba begins to say that none of the folders for compiled code can be written."""
 BACKENDS = {
@@ -74,6 +80,7 @@ def _run(
 ) -> int:
     """The same, where nothing that is printed can fail."""
     try:
+        check_environment()
         with locks.claims():
             given = parse(options, arguments)
             _spare(given)
@@ -209,6 +216,24 @@ def check_opengl() -> None:
         why = f"must be one of {known}, off"
     print(f"Warning: MUJOCO_GL is {one_line(backend)}, but {why}; it is ignored.", file=sys.stderr)
     del os.environ["MUJOCO_GL"]
+
+
+def check_environment() -> None:
+    """Ignore settings of libraries that these refuse with a traceback, and say so.
+
+    matplotlib reads its backend when the first picture is drawn, after the drive; numba its number
+    of threads when the first loop is compiled. Neither matters here.
+    """
+    for name, fine, what in (
+        ("MPLBACKEND", lambda v: v.lower() in MPL or v.startswith("module://"), "a known backend"),
+        ("NUMBA_NUM_THREADS", lambda v: v.isascii() and v.isdigit() and int(v[-9:]) > 0,
+         "a whole number above 0"),
+    ):
+        value = os.environ.get(name, "")
+        if value and not fine(value):
+            print(f"Warning: {name} is {one_line(value)}, but must be {what}; it is ignored.",
+                  file=sys.stderr)
+            del os.environ[name]
 
 
 def writable_folder(folder: Path) -> Path:

@@ -200,4 +200,4 @@ def _texts(options: type) -> dict[str, str]:
 
 def _width() -> int:
     """Columns of the terminal, as argparse leaves them for text."""
-    return shutil.get_terminal_size().columns - 2
+    return max(shutil.get_terminal_size().columns - 2, 20)
