@@ -49,6 +49,19 @@ def test_a_picture_that_fails_does_not_cost_the_run(run, road, tmp_path, monkeyp
     assert (folder / "trace.parquet").exists() and not (folder / "figures").exists()
 
 
+def test_a_controller_that_goes_elsewhere_takes_no_results_with_it(run, sketch, road, user_module,
+                                                                   tmp_path):
+    module = user_module(
+        "import os\n"
+        "class Goes:\n"
+        "    def reset(self, rng): os.chdir('/')\n"
+        "    def command(self, state, preview): return 0.0, 0.0\n"
+    )
+    code, _, err = run("--scenario", road, "--controller", f"{module}:Goes", "--out", "here")
+    assert (code, err) == (0, "") and Path.cwd() == tmp_path
+    assert (tmp_path / "here" / "metrics.json").exists()
+
+
 # A run that works -------------------------------------------------------------------------------
 
 
@@ -415,7 +428,7 @@ def test_a_world_of_ones_own_is_driven_and_recorded(run, road, tmp_path, sketch)
     ("options", "text"),
     [
         (("--world", "moon"), "Unknown world 'moon'"),
-        (("--world", "none.toml"), "Cannot read the world 'none.toml'"),
+        (("--world", "none.toml"), "The world 'none.toml' cannot be read"),
         (("--latency", 20.5), "--latency is 20.5, but must be a whole number of milliseconds"),
         (("--latency", 300), "--latency is 300.0, but must be from 0 to 200 ms"),
         (("--world", "rtk", "--estimator", "guess"), "Unknown estimator 'guess'"),

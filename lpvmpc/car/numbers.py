@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any
 
 from lpvmpc.errors import DataError, OptionError
-from lpvmpc.kit.files import read_toml
+from lpvmpc.kit.files import read_toml, reading
 
 GRADES = ("measured", "published", "computed", "fitted", "assumed")
 """How well a number is known; models/README.md says what each means."""
@@ -199,12 +199,8 @@ def read_car_file(file: str | os.PathLike[str]) -> CarFile:
         DataError: It cannot be read, is no TOML, or holds something that no car.toml has.
     """
     path = os.fspath(file)
-    try:
+    with reading(f"Car file {path!r}", "TOML file"):
         content = read_toml(path)
-    except OSError as error:
-        raise DataError(f"Car file {path!r} cannot be read: {error.strerror or error}.") from error
-    except ValueError as error:
-        raise DataError(f"Car file {path!r} is no TOML: {error}.") from error
     for key in content:
         if key not in PARTS:
             raise DataError(f"Car file {path!r} holds {key!r}, but may hold only "

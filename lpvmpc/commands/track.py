@@ -8,6 +8,7 @@ Exit codes: 0 done; 2 bad input, one line on stderr; 3 the car did not complete 
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 import warnings
@@ -170,6 +171,7 @@ def main(options: Options) -> int:
         video = cli.results_folder(Path("videos"), f"{name}.mp4") / f"{name}.mp4"
     cli.result_file(options.json)
     viewer = open_viewer(plant, scenario, traffic) if options.view else None
+    here = os.getcwd()
     with Watch(viewer) as watch:
         log = simulate(
             plant,
@@ -189,6 +191,7 @@ def main(options: Options) -> int:
                      **traffic_options(options.traffic, options.detour)},
             traffic=traffic,
         )
+    os.chdir(here)  # a controller may have gone elsewhere
     if len(log) == 0 and log.meta["reason"] == "interrupted":
         raise KeyboardInterrupt  # before the first instant: nothing to save
     result = metrics(log)

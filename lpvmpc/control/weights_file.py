@@ -29,7 +29,7 @@ from typing import Any, TypeVar
 
 from lpvmpc.car.current import current, per_car
 from lpvmpc.errors import DataError, OptionError
-from lpvmpc.kit.files import checksum, read_toml, write_text
+from lpvmpc.kit.files import checksum, read_toml, reading, write_text
 
 WeightsT = TypeVar("WeightsT")
 PARTS = ("controller", "sha256", "weights", "record")
@@ -68,13 +68,8 @@ def read_weights(file: str | os.PathLike[str], controller: str | None = None) ->
             that is no number.
     """
     path = os.fspath(file)
-    try:
+    with reading(f"Weights file {path!r}", "TOML file"):
         content = read_toml(path)
-    except OSError as error:
-        why = error.strerror or str(error)
-        raise DataError(f"Weights file {path!r} cannot be read: {why}.") from error
-    except ValueError as error:
-        raise DataError(f"Weights file {path!r} is no TOML: {error}.") from error
     for name in content:
         if name not in PARTS:
             raise DataError(f"Weights file {path!r} holds {name!r}, but may hold only "

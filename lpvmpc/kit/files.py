@@ -19,7 +19,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lpvmpc.errors import LPVMPCError, OutputError
+from lpvmpc.errors import DataError, LPVMPCError, OutputError
 from lpvmpc.kit.signals import ctrl_c_waits
 
 if TYPE_CHECKING:
@@ -123,6 +123,25 @@ def checksum(content: Any) -> str:
     """SHA-256 of what JSON can hold, however it was laid out in its file."""
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+@contextmanager
+def reading(what: str, form: str) -> Iterator[None]:
+    """Say in one sentence what cannot be read.
+
+    Args:
+        what: What is read, for the sentence.
+        form: What it is if it is whole.
+
+    Raises:
+        DataError: In place of an OSError or a ValueError of the body.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise DataError(f"{what} cannot be read: {error.strerror or error}.") from error
+    except ValueError as error:
+        raise DataError(f"{what} is no {form}: {' '.join(str(error).split())}.") from error
 
 
 @contextmanager

@@ -30,7 +30,14 @@ from lpvmpc.car.current import PLACE, SHA256, current
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.car.tire import Tire
 from lpvmpc.errors import DataError, ModelError
-from lpvmpc.kit.files import into, read_bytes, read_json, write_json, write_text
+from lpvmpc.kit.files import (
+    into,
+    read_bytes,
+    read_json,
+    reading,
+    write_json,
+    write_text,
+)
 from lpvmpc.kit.provenance import commit, versions
 from lpvmpc.plant.mjcf import car_sha256, compile_model, compile_text, model_path, parameters, tires
 
@@ -184,13 +191,8 @@ def adopt(folder: str | os.PathLike[str]) -> Car:
 def _provenance(folder: Path) -> dict[str, Any]:
     """What provenance.json says."""
     file = folder / PROVENANCE
-    try:
+    with reading(repr(str(file)), "JSON"):
         told = read_json(file)
-    except OSError as error:
-        why = error.strerror or str(error)
-        raise DataError(f"{str(file)!r} cannot be read: {why}.") from error
-    except ValueError as error:
-        raise DataError(f"{str(file)!r} is no JSON: {error}.") from error
     if not isinstance(told, dict) or not {"name", "car_sha256"} <= set(told):
         raise DataError(f"{str(file)!r} must hold 'name' and 'car_sha256'.")
     return told

@@ -43,7 +43,7 @@ from typing import Any
 import numpy as np
 
 from lpvmpc.errors import DataError, LPVMPCError, OptionError, UnknownNameError
-from lpvmpc.kit.files import read_toml
+from lpvmpc.kit.files import read_toml, reading
 from lpvmpc.plant.actuation import MAX_LATENCY
 from lpvmpc.plant.deviations import NOMINAL, Deviations, named
 from lpvmpc.road.surface import PLAIN, Slope, Surface
@@ -333,12 +333,8 @@ def load_world(world: str | os.PathLike[str] | Mapping[str, Any] | World) -> Wor
         return WORLDS[name]
     if not name.lower().endswith(".toml"):
         raise UnknownNameError("world", name, [*WORLDS, "FILE.toml"])
-    try:
+    with reading(f"The world {name!r}", "TOML file"):
         table = read_toml(name)
-    except OSError as error:
-        raise DataError(f"Cannot read the world {name!r}: {error.strerror or error}.") from error
-    except ValueError as error:
-        raise DataError(f"{name} is no TOML file: {' '.join(str(error).split())}.") from error
     try:
         return _from_table(table, Path(name).stem)
     except LPVMPCError as error:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from lpvmpc.errors import DataError, OptionError, UnknownNameError
-from lpvmpc.kit.files import read_toml, readable
+from lpvmpc.kit.files import read_toml, readable, reading
 from lpvmpc.road.path import Path
 from lpvmpc.road.scenario import Scenario
 from lpvmpc.traffic.boxes import Box
@@ -182,13 +182,8 @@ def check_name(name_or_file: str | os.PathLike[str]) -> str:
 
 def _from_toml(file: FilePath) -> tuple[RoadUser, ...]:
     told = readable(file)
-    try:
+    with reading(f"The traffic {told!r}", "TOML file"):
         content = read_toml(file)
-    except OSError as error:
-        raise DataError(f"The traffic {told!r} cannot be read: {error.strerror}.") from error
-    except ValueError as error:
-        why = " ".join(str(error).split())
-        raise DataError(f"The traffic {told!r} is no TOML file: {why}.") from error
     rows = content.get("user")
     if set(content) != {"user"} or not isinstance(rows, list) or not 1 <= len(rows) <= MOST:
         raise DataError(
