@@ -263,7 +263,7 @@ def test_ratios_to_the_baseline_are_told_with_the_influence_of_weights(make):
     assert printed_numbers.ratio(e, "lateral_rmse_m") == pytest.approx(10.0)
     assert printed_numbers.ratio(e, "lateral_rmse_m", lmpc="by hand") == pytest.approx(30.0)
     sentence = next(s for s in sentences.sentences(e) if s.startswith("The baseline's RMSE"))
-    assert "10.0 (10.0 to 30.0 over the weights; paper 6.3) for the lateral" in sentence
+    assert "10 (10 to 30 over the weights; paper 6.3) for the lateral" in sentence
     assert "5.0 (5.0 to 5.0 over the weights; paper 1.4) for the speed" in sentence
     assert f"| {PAPERS}" in report.influence_table(e)
 

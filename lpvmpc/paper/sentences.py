@@ -52,8 +52,8 @@ def _ratios(e: Evidence) -> str | None:
         now = ratio(e, key)
         if now is None:
             return None
-        spread = f"{min(found):.1f} to {max(found):.1f} over the weights"
-        parts.append(f"{now:.1f} ({spread}; paper {PAPER_RATIO[key]:.1f}) for the {name} error")
+        spread = f"{_two(min(found))} to {_two(max(found))} over the weights"
+        parts.append(f"{_two(now)} ({spread}; paper {PAPER_RATIO[key]:.1f}) for the {name} error")
     return f"The baseline's RMSE is larger than ours by a factor of {' and '.join(parts)}."
 
 
@@ -209,7 +209,12 @@ def _factor(worse: Sequence[DrivenEntry], better: Sequence[DrivenEntry]) -> floa
 
 
 def _times(factor: float) -> str:
-    return f"{factor:.0f} times more" if factor >= 1.0 else f"{1.0 / factor:.1f} times less"
+    return f"{_two(factor)} times more" if factor >= 1.0 else f"{_two(1.0 / factor)} times less"
+
+
+def _two(value: float) -> str:
+    """Two digits: no more are known of a ratio to an error that the physics step moves."""
+    return f"{value:.1f}" if value < 10.0 else f"{float(f'{value:.2g}'):.0f}"
 
 
 def _of(count: int, total: int) -> str:
