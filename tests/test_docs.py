@@ -47,3 +47,28 @@ def test_every_page_is_in_the_menu(root):
             "results/index.md"}  # docs/pages.py makes them of what lies elsewhere
     assert sorted(menu) == sorted(pages | made)
     assert all(folder in text for folder in (" cars/]", " examples/]", " results/]"))
+
+
+def anchors(page):
+    """What its headings are called in an address."""
+    heads = re.findall(r"^#+ (.*)$", page.read_text(), re.M)
+    plain = (re.sub(r"[^\w\s-]", "", head.replace("`", "").strip().lower()) for head in heads)
+    return {re.sub(r"\s", "-", head) for head in plain}
+
+
+def test_every_link_between_pages_leads_somewhere(root):
+    pages = [*root.glob("*.md"), *root.glob("docs/**/*.md"), *root.glob("cars/**/*.md"),
+             *root.glob("examples/*.md"), *root.glob("models/*.md")]
+    links = []
+    for page in pages:
+        text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.S | re.M)
+        links += [(page, link) for link in re.findall(r"\]\(([^)\s]+)\)", text)
+                  if not re.match(r"\w+:", link)]
+    assert len(links) > 100
+    dead = []
+    for page, link in links:
+        file, _, anchor = link.partition("#")
+        target = (page.parent / file).resolve() if file else page
+        if not target.exists() or (anchor and anchor not in anchors(target)):
+            dead.append((page.relative_to(root).as_posix(), link))
+    assert dead == []

@@ -33,9 +33,10 @@ them. (The authors' script takes the root twice and divides by 252 of 2537 sampl
 that is heading plus sideslip; in a side wind a car goes straight at an angle. Speed: against the \
 reference.
 - `paper` has the paper's reference signals and its full wind, with forces of up to 2.7 kN; \
-"wind / 3" is the strength in the authors' code, a ninth of the force. `paper-loop` has the shape \
-of the paper's Fig. 8 and its wind; the other roads have none. `circuit 87 %` is driven with 87 % \
-of the car's steady lateral limit.
+"wind / 3" is the strength in the authors' code, a ninth of the force. It blows on the authors' \
+side area of 1.5 m2, less than half of a real hatchback's; fidelity.md drives with the real one \
+(wind). `paper-loop` has the shape of the paper's Fig. 8 and its wind; the other roads have none. \
+`circuit 87 %` is driven with 87 % of the car's steady lateral limit.
 - A run is lost when the car is more than 5 m off the path (on a road that states its widths also \
 2 m beyond its edge), turned by more than 90 degrees, rolled over, stuck, or needs twice the \
 reference's time; tables say where. In means and ratios a lost run \
