@@ -54,8 +54,9 @@ an error may be 1.3 times that of `oracle` plus 1 mm, at 92 % twice that of `ora
 - "Duration off" is by how much the lap's time differs from the reference's.
 - "The better constant" of a case is the better of `constant` and `constant-best`. Two errors \
 count as alike where their ratio is below 1.1.
-- All models drive with one set of weights, with the observer and without it. They were tuned with \
-`network` and the observer (`eval/tune.py`): {weights}.
+- All models drive with one set of weights, with the observer and without it. They were searched \
+with `network` and the observer (`eval/tune.py`), five of them set by hand afterwards, three while \
+looking at circuit 96 and 100 % (docs/derivations.md, D13): {weights}.
 - Everything is deterministic: one run per cell has no spread. The noise is driven with three \
 seeds.
 """
@@ -90,6 +91,8 @@ def report(
         "",
         promises(found),
         promises_sentence(found),
+        "",
+        "No limit was set after a result had been seen.",
         "",
         "## Tables",
         "",

@@ -89,9 +89,11 @@ def rivals(found: Sequence[Summary]) -> Iterator[str]:
                 f"{listed(where)}."
             )
     if none:
+        names = ", ".join(f"`{name}`" for name in dict.fromkeys(s.cell.controller for s in others))
         yield (
-            f"No rival has a better 95th percentile than `{OURS}`, neither of the RMSE nor of the "
-            "largest error, in any world on any road."
+            f"None of those driven here ({names}) has a better 95th percentile than `{OURS}`, "
+            "neither of the RMSE nor of the largest error, in any world on any road; others are "
+            "in docs/results/benchmark.md."
         )
     more: dict[str, list[str]] = {}
     for s in others:
@@ -178,7 +180,7 @@ def margins_said(found: Sequence[Margin]) -> Iterator[str]:
     if more:
         yield f"A rival bears more than `{OURS}`: {', '.join(more)}."
     elif len(own) and len({m.controller for m in found}) > 1:
-        yield f"No rival bears more than `{OURS}` of any deviation."
+        yield f"None of those driven here bears more than `{OURS}` of any deviation."
 
 
 def reach(margin: Margin) -> float:

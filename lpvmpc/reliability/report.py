@@ -254,6 +254,7 @@ def report(
         ]),
         "",
         promises_table("Promises", found, "{:.0f}".format),
+        "No limit was set after a result had been seen.", "",
     ]
     for section in sections:
         lines += [f"## {section.title}", "", section.about, "",

@@ -54,7 +54,8 @@ parameters of the first fit, the way a segment begins and that commands are held
 chosen among some thirty tries on this file, the whole-run scores of the first fifteen in sight:
 "whole" is not held out. The single tracks were given the best of seven sets of four. A fit
 of yaw rate and vy cannot tell mass, inertia and stiffness apart (only their ratios); the numbers of
-such a car are those that make it move alike.
+such a car are those that make it move alike. The limits were set before the first of these
+results had been seen.
 """
 
 
