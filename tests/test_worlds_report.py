@@ -92,7 +92,7 @@ def test_a_stiffness_model_drives_with_all_its_options(monkeypatch):
     monkeypatch.setitem(worlds.MODELS, "constant-best", softer)
     asked = [run_of(cell) for cell in CELLS["adaptation"](GridPlan(seeds=1))
              if cell.model == "constant-best"]
-    assert {run.world for run in asked} == {"ideal", "rtk", "fleet"}
+    assert {run.world for run in asked} == {"ideal", "rtk", "fleet", "fleet-production"}
     assert all(run.controller_options == softer.options for run in asked)
 
 
@@ -265,11 +265,11 @@ def test_a_lost_run_makes_a_rival_better_and_is_listed():
 @pytest.mark.parametrize(
     "secant, said",
     [
-        (2.0, "pays: of 9 worlds and roads 9 times it helps, 0 times it hurts; by the 95th "
+        (2.0, "pays: of 12 worlds and roads 12 times it helps, 0 times it hurts; by the 95th "
               "percentile of the RMSE: in `ideal` it helps on paper (2.0 mm against 5.0 mm),"),
-        (9.0, "costs: of 9 worlds and roads 0 times it helps, 9 times it hurts;"),
-        (5.1, "makes no difference in any of 9 worlds and roads;"),
-        (math.inf, "costs: of 9 worlds and roads 0 times it helps, 9 times it hurts;"),
+        (9.0, "costs: of 12 worlds and roads 0 times it helps, 12 times it hurts;"),
+        (5.1, "makes no difference in any of 12 worlds and roads;"),
+        (math.inf, "costs: of 12 worlds and roads 0 times it helps, 12 times it hurts;"),
     ],
 )
 def test_the_paper_s_claim_follows_from_the_numbers(secant, said):

@@ -199,7 +199,7 @@ MODELS = {
     ),
 }
 """Stiffness models by their names in the tables."""
-ADAPTED = ("ideal", "rtk", "fleet")
+ADAPTED = ("ideal", "rtk", "fleet", "fleet-production")
 """Worlds of this comparison."""
 ADAPTED_ROADS = ("paper", "circuit-65", "circuit-80")
 """And its roads."""
