@@ -10,7 +10,7 @@ import pytest
 
 from lpvmpc import Command, Plant
 from lpvmpc.car import magic_formula as mf
-from lpvmpc.car.numbers import CarNumbers, read_car_file
+from lpvmpc.car.numbers import CarFile, CarNumbers, read_car_file
 from lpvmpc.errors import DataError, ModelError, OptionError
 from lpvmpc.plant.car_folder import adopt, packaged_sha256, read_car, write_car
 from lpvmpc.plant.mjcf import compile_model, parameters
@@ -42,6 +42,33 @@ def test_the_packaged_car_written_from_its_numbers_is_itself(zoe, numbers):
     for name in ARRAYS:  # vehicle.xml has its preloads and inertias to nine digits
         there, here = np.ravel(getattr(zoe, name)), np.ravel(getattr(again, name))
         np.testing.assert_allclose(here, there, rtol=1e-8, atol=1e-8, err_msg=name)
+
+
+def short_car(**numbers) -> CarFile:
+    return CarFile(name="short", title="", numbers=numbers, sources={}, tires=(None, None))
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_short_car_toml_makes_a_car(zoe, numbers, seed):
+    """Mass, axles, track and yaw inertia alone: whatever else there is follows, to scale."""
+    draw = np.random.default_rng(seed).uniform
+    m, length, front, track = draw(750, 2600), draw(2.3, 3.4), draw(0.42, 0.58), draw(1.35, 1.7)
+    short = {"m": m, "lf": length * (1 - front), "lr": length * front, "h": draw(0.35, 0.75),
+             "track_f": track, "track_r": track, "Iz": m * (length * draw(0.44, 0.54)) ** 2}
+    for given in (short, {k: v for k, v in short.items() if k != "Iz"}):
+        whole, taken = short_car(**given).completed(numbers)
+        written_down = numbers_of(model_of(written(whole, *tires_of(zoe))))
+        for name, value in given.items():
+            assert getattr(written_down, name) == pytest.approx(value, rel=1e-6), name
+        assert {"Ixx", "Iyy", "spring_f"} <= set(taken) and not set(given) & set(taken)
+
+
+def test_what_carries_a_car_grows_with_its_mass(numbers):
+    twice = short_car(m=2.0 * numbers.m).completed(numbers)[0]
+    for name in ("spring_f", "antiroll_r", "damper_f", "brake_torque", "Iz", "Ixx", "Iyy"):
+        assert getattr(twice, name) == pytest.approx(2.0 * getattr(numbers, name)), name
+    turned = short_car(Iz=1.5 * numbers.Iz).completed(numbers)[0]
+    assert turned.Iyy == pytest.approx(1.5 * numbers.Iyy) and turned.Ixx == numbers.Ixx
 
 
 def test_a_written_car_has_the_numbers_it_was_written_from(zoe, numbers):
@@ -133,7 +160,8 @@ def test_a_short_toml_makes_a_car_and_says_what_it_took_from_the_packaged_one(tm
     car = write_car(tmp_path / "mine", xml, name=file.name)
     p, zoe = car.params, read_car().params
     assert (car.name, p.m, p.drive_front) == ("mine", pytest.approx(1200.0), 0.0)
-    assert p.Iz == pytest.approx(zoe.Iz * 1200.0 / zoe.m)
+    shorter = (p.lf + p.lr) / (zoe.lf + zoe.lr)
+    assert p.Iz == pytest.approx(zoe.Iz * 1200.0 / zoe.m * shorter**2)
     # stiffness per load is the tire's, and the loads are this car's
     assert p.Cf / (p.m * p.lr / p.wheelbase) == pytest.approx(
         zoe.Cf / (zoe.m * zoe.lr / zoe.wheelbase)

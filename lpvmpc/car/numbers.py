@@ -151,6 +151,11 @@ NAMES = tuple(one.name for one in fields(CarNumbers))
 """Names of the numbers."""
 
 
+CARRYING = ("spring_f", "spring_r", "damper_f", "damper_r", "antiroll_f", "antiroll_r",
+            "drive_torque", "power", "brake_torque")
+"""Numbers that grow with the mass of a car, so that it rides, drives and brakes alike."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class CarFile:
     """What a car.toml says."""
@@ -169,17 +174,24 @@ class CarFile:
     def completed(self, base: CarNumbers) -> tuple[CarNumbers, list[str]]:
         """All numbers, and the names of those taken from the base.
 
-        Inertias that are not given are those of the base's gyration radii, and tire, spring and
-        damper of a wheel that are not given are the base's in proportion to the mass.
+        Inertias that are not given follow mass and size: pitch and yaw whichever of the two is
+        given, or the wheelbase, and roll the track, with the base's gyration radii. Springs, bars,
+        dampers, drive and brakes that are not given are the base's in proportion to the mass.
 
         Raises:
             OptionError: A number outside its domain.
         """
         given = dict(self.numbers)
         changes: dict[str, Any] = {}
-        ratio = float(given.get("m", base.m)) / base.m
-        for name in ("Ixx", "Iyy", "Iz"):
-            changes[name] = getattr(base, name) * ratio
+        like = replace(base, **given)
+        mass = like.m / base.m
+        base_track, track = base.track_f + base.track_r, like.track_f + like.track_r
+        long = mass * ((like.lf + like.lr) / (base.lf + base.lr)) ** 2
+        for name, other in (("Iyy", "Iz"), ("Iz", "Iyy")):
+            scale = float(given[other]) / getattr(base, other) if other in given else long
+            changes[name] = getattr(base, name) * scale
+        changes["Ixx"] = base.Ixx * mass * (track / base_track) ** 2
+        changes |= {name: getattr(base, name) * mass for name in CARRYING}
         if "R0" in given and "R_w" not in given:
             changes["R_w"] = base.R_w / base.R0 * given["R0"]
         tire = ("mu_f", "mu_r", "Cf", "Cr", "sigma_f", "sigma_r", "trail_f", "trail_r")
