@@ -401,6 +401,8 @@ def test_runs_are_interleaved_and_their_results_are_not():
         (["--controllers", "mine:Mine"], "Unknown controller 'mine:Mine'"),
         (["--controllers", "stanley", "stanley"], "each name once"),
         (["--seeds", "0"], "--seeds is 0, but must be from 1 to 900"),
+        (["--verify", "x", "--json", "y"], "--json is 'y', but must be left out with"),
+        (["--verify", "x", "--quick"], "--quick is True, but must be left out with --verify."),
         (["--verify", "none.parquet"], "Rows 'none.parquet' cannot be read"),
         (["--verify", "other.parquet"], "are not those of a benchmark: no column 'run'"),
         (["--address", "here"], "address is 'here', but must be left out unless"),

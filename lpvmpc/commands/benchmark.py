@@ -75,6 +75,8 @@ def main(options: Options) -> int:
     cli.check_number("--sample", options.sample, 0, 1_000_000)
     cli.check_opengl()
     if options.verify is not None:
+        own = ("out", "cache") if options.car is not None else ()  # the car has set them
+        cli.only(options, ("verify", "sample", "jobs", "backend", "address", "car", *own))
         return verify(options, options.verify)
     plan, lacking = plan_of(options)
     out = options.out or (QUICK_OUT if options.quick else Path("docs/results"))

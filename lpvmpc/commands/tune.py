@@ -15,13 +15,12 @@ from __future__ import annotations
 import json
 import sys
 import time
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from lpvmpc.commands.parts.the_car import CarPlace, folder_of, with_car
 from lpvmpc.control.registry import TUNABLE
-from lpvmpc.errors import OptionError
 from lpvmpc.kit import cli
 from lpvmpc.kit.files import write_json, write_text
 
@@ -238,19 +237,11 @@ def print_result(
     console.print(driven)
 
 
-def only(options: Options, names: tuple[str, ...]) -> None:
-    """Refuse options that mean nothing with the first of some."""
-    for field in fields(options):
-        value = getattr(options, field.name)
-        if field.name not in names and value != field.default:
-            raise OptionError(f"--{field.name}", value, f"left out with --{names[0]}")
-
-
 def show_spread(options: Options) -> int:
     """Lay finished searches side by side, print and save it."""
     from lpvmpc.tune import spread
 
-    only(options, SPREAD)
+    cli.only(options, SPREAD)
     out = cli.results_folder(options.out or Path("runs/tune-spread"))
     cli.result_file(options.json)
     found = spread.read(options.spread, options.jobs or cli.cores())
@@ -264,7 +255,7 @@ def show_spread(options: Options) -> int:
 
 def show_sphere(options: Options) -> int:
     """Run, print and save the study of the sphere function."""
-    only(options, SPHERE)
+    cli.only(options, SPHERE)
     out = cli.results_folder(options.out or Path("docs/results"), "sphere")
     cli.result_file(options.json)
     from lpvmpc.tune import sphere, sphere_report

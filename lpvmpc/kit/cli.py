@@ -129,9 +129,8 @@ def _spare(options: Any) -> None:
         for other, value in values.items():
             for read in value if isinstance(value, tuple) else (value,):
                 if isinstance(read, str | Path) and _is(file, read):
-                    own, its = (f"--{one.replace('_', '-')}" for one in (name, other))
-                    raise OptionError(own, os.fspath(file),
-                                      f"another file than that of {its}, which is read")
+                    raise OptionError(_flag(name), os.fspath(file),
+                                      f"another file than that of {_flag(other)}, which is read")
 
 
 def _is(file: Path, name: str | Path) -> bool:
@@ -169,6 +168,28 @@ def _plain_warnings() -> Iterator[None]:
         yield
     finally:
         warnings.showwarning = before
+
+
+def only(options: Any, names: Sequence[str]) -> None:
+    """Refuse options that mean nothing with the first of some.
+
+    Args:
+        options: Dataclass of all options.
+        names: Those that may be given; the first is the reason.
+
+    Raises:
+        OptionError: Another one is not at its default.
+    """
+    for field in fields(options):
+        value = getattr(options, field.name)
+        if field.name not in names and value != field.default:
+            told = os.fspath(value) if isinstance(value, Path) else value
+            raise OptionError(_flag(field.name), told, f"left out with {_flag(names[0])}")
+
+
+def _flag(name: str) -> str:
+    """What a field is called on the command line."""
+    return f"--{name.replace('_', '-')}"
 
 
 def check_number(name: str, value: float | None, low: float, high: float, unit: str = "") -> None:
