@@ -292,11 +292,31 @@ def test_on_another_thread_a_slow_controller_is_judged_afterwards(point_plant, s
 @pytest.mark.parametrize(
     ("name", "value"),
     [("seed", -1), ("seed", 1.5), ("delay", -1), ("delay", 31), ("delay", 1.0),
-     ("step_timeout", 0.0), ("step_timeout", float("nan"))],
+     ("step_timeout", 0.0), ("step_timeout", float("nan")), ("world", 3), ("estimator", 3)],
 )
 def test_options_outside_their_domain_are_refused(point_plant, straight, name, value):
     with pytest.raises(OptionError, match=name):
         simulate(point_plant, Straight(), straight, **{name: value})
+
+
+@pytest.mark.parametrize(("given", "sentence"), [
+    ((None, Straight(), "straight"), r"plant is None, but must be an object, as Plant\(\) gives"),
+    (("plant", "stanley", "straight"), "controller is 'stanley', .* as load_controller"),
+    (("plant", Straight, "straight"), "controller is <class .* as load_controller"),
+    (("plant", Straight(), "slalom"), "scenario is 'slalom', .* as load_scenario"),
+])
+def test_a_name_in_place_of_what_it_names_is_refused(point_plant, straight, given, sentence):
+    plant, made, road = given
+    plant, road = point_plant if plant else plant, straight if road == "straight" else road
+    with pytest.raises(OptionError, match=sentence):
+        simulate(plant, made, road)
+
+
+def test_what_cannot_be_a_name_or_weights_is_refused():
+    with pytest.raises(OptionError, match="controller is None, but must be a name"):
+        load_controller(None)
+    with pytest.raises(OptionError, match="weights is .*, but must be names with numbers"):
+        load_controller("stanley", weights=[1.0, 2.0])
 
 
 def test_a_controller_of_another_period_is_refused(point_plant, straight):

@@ -105,6 +105,12 @@ def test_runs_that_all_end_at_one_place_are_not_told_apart():
     assert "no difference" in sphere.verdict_on(study)
 
 
+def test_all_is_said_of_all_alone():
+    shares = (0.0, 0.0004, 0.05, 0.994, 896 / 900, 1.0)
+    assert [sphere.share_text(share) for share in shares] == [
+        "0%", "0.04%", "5%", "99%", "99.56%", "100%"]
+
+
 def test_a_better_selection_is_named():
     low = np.linspace(1.0, 2.0, 30)
     study = invented(mixed=low, roulette=low + 5.0, tournament=low + 2.0)

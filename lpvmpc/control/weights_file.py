@@ -22,7 +22,7 @@ import json
 import os
 import warnings
 from collections.abc import Mapping
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, fields, is_dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any, TypeVar
@@ -206,11 +206,16 @@ def chosen(
     """The weights meant by a maker's argument: a dataclass, names with numbers, or None.
 
     Names with numbers change the weights set by hand: a file gives the same car on every version.
+
+    Raises:
+        OptionError: They are nothing of all that.
     """
     if weights is None:
         return shipped(controller, by_hand)
     if isinstance(weights, Mapping):
         return apply(by_hand, weights)
+    if not is_dataclass(weights):
+        raise OptionError("weights", weights, f"names with numbers, or {type(by_hand).__name__}")
     return weights
 
 

@@ -13,6 +13,7 @@ from lpvmpc.errors import (
     ControllerError,
     EstimatorError,
     LPVMPCError,
+    OptionError,
     UnknownNameError,
     described,
 )
@@ -70,6 +71,8 @@ def load_controller(
         OptionError: An option outside its domain.
         ControllerError: The user's class does not import, or is no controller.
     """
+    if not isinstance(name, str):
+        raise OptionError("controller", name, "a name or module:Class")
     if ":" not in name:
         return make_controller(name, car or _packaged_car(), _tires, **options)
     offered = {

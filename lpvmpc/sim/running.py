@@ -88,6 +88,12 @@ def running(
     All else, and what is raised when the run is first asked: see `loop.simulate`. Nobody else may
     use the plant until the run has ended.
     """
+    for what, value in (("plant", plant), ("controller", controller), ("scenario", scenario)):
+        if value is None or isinstance(value, str | type):
+            maker = "Plant()" if what == "plant" else f"load_{what}(name)"
+            raise OptionError(what, value, f"an object, as {maker} gives")
+    if estimator is not None and not isinstance(estimator, str):
+        raise OptionError("estimator", estimator, "a name or module:Class")
     if type(seed) is not int or seed < 0:
         raise OptionError("seed", seed, "a whole number from 0")
     if type(delay) is not int or not 0 <= delay <= MAX_DELAY:

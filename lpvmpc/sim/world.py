@@ -328,6 +328,8 @@ def load_world(world: str | os.PathLike[str] | Mapping[str, Any] | World) -> Wor
         return world
     if isinstance(world, Mapping):
         return _from_table(world, str(world.get("name", "own")))
+    if not isinstance(world, str | os.PathLike):
+        raise OptionError("world", world, "a name, a file, a dictionary or a World")
     name = os.fspath(world)
     if name in WORLDS:
         return WORLDS[name]

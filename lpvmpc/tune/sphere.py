@@ -224,6 +224,12 @@ def compare(study: Variant) -> list[Comparison]:
     ]
 
 
+def share_text(share: float) -> str:
+    """A share in percent; "100%" and "0%" are told of all and none alone."""
+    digits = 0 if share in (0.0, 1.0) or 0.005 <= share < 0.995 else 2
+    return f"{share:.{digits}%}"
+
+
 def verdict(study: Study) -> str:
     """What the tests say of both algorithms, in words."""
     ours, printed = (verdict_on(variant) for variant in (study.ours, study.printed))
@@ -238,7 +244,8 @@ def verdict_on(variant: Variant) -> str:
             first, second = (c.one, c.other) if c.nearer > 0.5 else (c.other, c.one)
             share = max(c.nearer, 1.0 - c.nearer)
             ahead.add((first, second))
-            found.append(f"{first} ends nearer than {second} in {share:.0%} of the pairs of runs")
+            pairs = f"{share_text(share)} of the pairs of runs"
+            found.append(f"{first} ends nearer than {second} in {pairs}")
     seeds = len(variant.selections[0].seeds)
     text = f"{variant.text[0].upper()}{variant.text[1:]}, {seeds} seeds: "
     if p >= LEVEL:

@@ -22,6 +22,7 @@ from lpvmpc.tune.sphere import (
     compare,
     difference,
     p_text,
+    share_text,
     verdict,
 )
 from lpvmpc.units import Array
@@ -127,7 +128,7 @@ def _tables(variant: Variant) -> list[str]:
         for runs in variant.selections
     ]
     pairs = [
-        (f"{c.one} against {c.other}", f"{c.nearer:.0%}", _p(c.p)) for c in compare(variant)
+        (f"{c.one} against {c.other}", share_text(c.nearer), _p(c.p)) for c in compare(variant)
     ]
     return [
         markdown_table(
