@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+import lpvmpc.bench.worlds_report  # noqa: F401  it takes names of `worlds` that are changed below
 from lpvmpc.bench import margins as margin_search
 from lpvmpc.bench import worlds, worlds_pictures
 from lpvmpc.bench.margins import KINDS
