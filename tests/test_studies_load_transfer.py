@@ -47,7 +47,9 @@ def test_springs_are_read_in_series_with_the_tires(springs):
 def test_a_rigid_car_tips_at_half_its_track_over_its_height(params):
     stiff = replace(params, K_phi=1e12)
     rigid = params.track_f / (2.0 * params.h)
-    first, last = rollover.lift_thresholds(stiff, Springs(1e12, 1e12, 0.29))
+    lifts = rollover.lift_thresholds(stiff, Springs(1e12, 1e12, 0.29))
+    assert list(lifts) == ["rear", "front"]
+    (first, _), (last, _) = lifts.values()
     assert last == pytest.approx(rigid)
     # the rear axle lifts when its share of the moment is its load times half the track
     share = 1.0 - params.roll_share_front
@@ -55,8 +57,18 @@ def test_a_rigid_car_tips_at_half_its_track_over_its_height(params):
 
 
 def test_a_soft_car_tips_earlier(params, springs):
-    first, last = rollover.lift_thresholds(params, springs)
+    (first, _), (last, phi) = rollover.lift_thresholds(params, springs).values()
+    assert 0.08 < phi < rollover.SECOND_ORDER  # the closed form holds
     assert first < last < params.track_f / (2.0 * params.h)
+
+
+def test_the_axle_that_takes_more_of_the_roll_lifts_first(params):
+    stiff = replace(params, K_phi=1e12, roll_share_front=0.9)
+    lifts = rollover.lift_thresholds(stiff, Springs(1e12, 1e12, 0.29))
+    assert list(lifts) == ["front", "rear"]
+    rigid = params.track_f / (2.0 * params.h)
+    assert lifts["front"][0] == pytest.approx(params.lr / params.wheelbase * rigid / 0.9, rel=1e-6)
+    assert lifts["rear"][0] == pytest.approx(rigid)  # equal tracks
 
 
 def test_lift_is_found_between_samples():

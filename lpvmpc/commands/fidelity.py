@@ -77,6 +77,9 @@ def main(options: Options) -> int:
     cli.result_file(options.json)
 
     how = " ".join(["python eval/fidelity.py", *options.studies])
+    for name in ("car", "tire"):
+        if getattr(options, name) is not None:
+            how += f" --{name} {getattr(options, name)}"
     if options.broken is not None:
         how += f" --broken {options.broken}"
     files = ["fidelity.md", "fidelity.csv", *(f"fidelity/{name}-*" for name in names)]
@@ -88,7 +91,8 @@ def main(options: Options) -> int:
             jobs=options.jobs or cli.cores(),
             progress=say,
         )
-        text = report.markdown(results, "fidelity", how, options.broken)
+        car = " on ".join(str(x) for x in (options.car, options.tire) if x is not None) or None
+        text = report.markdown(results, "fidelity", how, options.broken, car)
         write_report(new, "fidelity", text=text, table=report.as_csv(results))
     if options.json is not None:
         write_json(options.json, report.as_json(results))

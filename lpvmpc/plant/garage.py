@@ -77,6 +77,8 @@ def card(file: CarFile, params: VehicleParams, defaults: list[str]) -> str:
         ),
         f"\nTaken from the packaged car: {', '.join(defaults) or 'nothing'}.\n",
         markdown_table("What follows", ("quantity", "value"), follows),
+        f"What the fidelity studies say of it: `lpvmpc fidelity --car cars/{file.name}`; kept for "
+        "the cars that come with the package, in docs/results/cars/.\n",
     ]
     return "\n".join(parts)
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from lpvmpc.kit.findings import Limit, Table
 from lpvmpc.picture import style
+from lpvmpc.plant.mjcf import tires
 from lpvmpc.studies.parts.steering import (
     AY,
     DT,
@@ -51,8 +52,8 @@ not part of the car's response.
 - *Sweep*: from 0.1 to 4 Hz in 40 s at the same amplitude, begun and ended in straight driving;
   the response is the ratio of the Fourier transforms of the whole record.
 - *Transfer function*: linear single track with the tires' slopes, trails and relaxation lengths at
-  static load and a body that rolls about the road on springs and dampers
-  (`studies/reference/lateral_model.py`); no parameter is fitted.
+  the loads that drag leaves, rolling resistance, spinning wheels, and a body that rolls about the
+  road on springs and dampers (`studies/reference/lateral_model.py`); no parameter is fitted.
 - Valid in the linear range, some 0.1 g for 1 dB and 5 degrees; above 2 Hz the model's rigid wheels
   (no hop, no lateral compliance of the suspension) are too simple as well.
 """
@@ -70,7 +71,7 @@ def run(car: CarUnderTest) -> StudyResult:
     """Study the answer to steering."""
     result = StudyResult("transient", METHOD)
     p = car.params
-    models = {vx: lateral_model(p, vx) for vx in SPEEDS}
+    models = {vx: lateral_model(p, vx, tires(car.documented)) for vx in SPEEDS}
     sines = {vx: sine_responses(car, vx) for vx in SPEEDS}
     sweeps = {vx: sweep_response(car, vx) for vx in SPEEDS}
     jumps = _steps(result, car)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,9 +10,12 @@ import numpy as np
 
 from lpvmpc.car import magic_formula as mf
 from lpvmpc.interface import Command
+from lpvmpc.kit.findings import Limit, Table
 from lpvmpc.picture import style
 from lpvmpc.plant.plant import Plant
-from lpvmpc.studies.study import CarUnderTest
+from lpvmpc.studies.parts.rollover import Springs
+from lpvmpc.studies.parts.transfer import longitudinal_transfer
+from lpvmpc.studies.study import CarUnderTest, Picture, Series, StudyResult
 from lpvmpc.units import GRAVITY, Array
 
 KMH = 1.0 / 3.6
@@ -19,7 +23,7 @@ KMH = 1.0 / 3.6
 V0 = 100.0 * KMH
 """Speed from which the car brakes [m/s]."""
 SLOW = 5.0
-"""Speed at which the front wheels lock most easily [m/s]: hardly any drag helps."""
+"""Speed at which wheels lock most easily [m/s]: hardly any drag helps."""
 
 
 @dataclass(frozen=True)
@@ -64,24 +68,30 @@ def stop(plant: Plant, command: float, ramp: float = 1.0) -> Stop:
     return Stop(np.array(speeds), np.array(places), slip < -0.5, turn)
 
 
-def locking_command(car: CarUnderTest) -> tuple[float, float]:
-    """Command at which the front wheels lock at the speed SLOW, and the deceleration then.
+def locking_command(car: CarUnderTest, axle: int) -> tuple[float, float]:
+    """Command at which an axle locks at the speed SLOW while no other does, and the deceleration.
 
-    Front tires: share of the brake torque plus rolling resistance, less what stops their spin;
-    their load: m g lr / L + m a h / L; their limit: peak friction at that load.
+    Its tires: share of the brake torque plus rolling resistance, less what stops their spin; their
+    load: the static one and `longitudinal_transfer`; their limit: peak friction at that load.
+
+    Args:
+        car: Car under test.
+        axle: 0 in front, 1 behind.
 
     Returns:
         Command and deceleration [m/s2], both positive.
     """
-    p = car.params
+    p, springs = car.params, Springs.of(car.documented)
     drag = 0.5 * p.rho_air * p.CdA * SLOW**2
-    low, high = 0.0, 20.0
+    share = (p.brake_front, 1.0 - p.brake_front)[axle]
+    low, high = 0.0, 40.0
     for _ in range(60):
         command = 0.5 * (low + high)
         a = command + (p.c_roll * p.m * GRAVITY + drag) / p.m_eff
-        Fz = (p.m * GRAVITY * p.lr + p.m * a * p.h) / p.wheelbase
-        Fx = p.brake_front * p.m_eff * command + p.c_roll * Fz - 2.0 * p.J_w / p.R_w**2 * a
-        limit = mf.peak_friction(car.coefficients[0], 0.5 * Fz)[0] * Fz
+        moved = longitudinal_transfer(p, springs, drag - p.m * a, -4.0 * a / p.R_w)
+        Fz = max(p.m * GRAVITY * (p.lr, p.lf)[axle] / p.wheelbase + (moved, -moved)[axle], 0.0)
+        Fx = share * p.m_eff * command + p.c_roll * Fz - 2.0 * p.J_w / p.R_w**2 * a
+        limit = mf.peak_friction(car.coefficients[axle], 0.5 * Fz)[0] * Fz
         low, high = (command, high) if Fx < limit else (low, command)
     return command, a
 
@@ -100,9 +110,72 @@ def sliding_deceleration(car: CarUnderTest) -> float:
     return a
 
 
+def judge(result: StudyResult, car: CarUnderTest) -> None:
+    """Find the command that locks an axle, and compare stops with the closed forms."""
+    p = car.params
+    plant = car.plant(Ts=0.01)
+    locks = [locking_command(car, axle) for axle in (0, 1)]
+    expected, best = min(locks)
+    axle = ("front", "rear")[locks.index((expected, best))]
+    low, high = 0.5 * expected, 1.5 * expected
+    while high - low > 0.005 * expected:
+        command = 0.5 * (low + high)
+        low, high = (low, command) if stop(plant, command).locked else (command, high)
+    result.find(
+        f"brake command that locks the {axle}", high, "m/s2", Limit.percent(expected, 3.0),
+        "load, friction and brake balance at 5 m/s; 3 % for pitching",
+    )
+    hard, able = max(14.0, 1.5 * max(locks)[0]), plant
+    if -p.ax_min < 1.2 * max(locks)[0]:
+        able = car.plant(Ts=0.01)
+        able.model.numeric("powertrain").data[3] = hard * p.m_eff * p.R_w
+    stops = {"just not locked": stop(plant, low), "all wheels locked": stop(able, hard)}
+    slide, optimum = stops["all wheels locked"], stops["just not locked"]
+    # The mean of drag over distance between 0.8 and 0.1 of the speed: half the sum of squares.
+    drag = 0.5 * p.rho_air * p.CdA * V0**2 * 0.5 * (0.8**2 + 0.1**2)
+    result.find(
+        "MFDD just not locked", optimum.mfdd, "m/s2",
+        Limit.percent(low * best / expected + drag / p.m_eff, 2.0),
+        "command plus resistances; 2 % for pitching",
+    )
+    result.find(
+        "MFDD, all wheels locked", slide.mfdd, "m/s2",
+        Limit.percent(sliding_deceleration(car) + drag / p.m, 2.0),
+        "Magic Formula at a slip ratio of -1 and the load transferred; 2 % for pitching",
+    )
+    grip = p.mu * GRAVITY
+    result.find(
+        "best MFDD over mu g", optimum.mfdd / grip, "", Limit.at_most(1.0),
+        "friction bounds it",
+    )
+    result.find(
+        "turn while braking, worst", math.degrees(max(s.turn for s in stops.values())), "deg",
+        Limit.at_most(1e-3), "a symmetric car brakes straight",
+    )
+    rows: list[tuple[object, ...]] = [
+        (name, float(s.distance[-1]), s.mfdd, s.mfdd / grip) for name, s in stops.items()
+    ]
+    ideal = V0**2 / (2.0 * grip)
+    rows.append(("mu g from the first instant", ideal, grip, 1.0))
+    header = ("braking from 100 km/h", "distance [m]", "MFDD [m/s2]", "over mu g")
+    result.tables.append(Table("braking", "Braking distance (no verdict)", header, rows))
+    commands = np.linspace(2.0, 14.0, 25)
+    sweep = np.array([stop(plant, a).mfdd for a in commands])
+    result.series.append(Series("braking", {"command_mps2": commands, "mfdd_mps2": sweep}))
+    result.pictures.append(
+        Picture(
+            "braking",
+            "Braking from 100 km/h. Left: speed over distance. Right: mean fully developed "
+            "deceleration over the commanded one; beyond the line an axle locks.",
+            draw_stops(stops, commands, sweep, expected, axle, car),
+        )
+    )
+
+
 @style.styled
 def draw_stops(
-    stops: dict[str, Stop], commands: Array, sweep: Array, expected: float, car: CarUnderTest
+    stops: dict[str, Stop], commands: Array, sweep: Array, expected: float, axle: str,
+    car: CarUnderTest,
 ) -> Any:
     """Speed over distance, and the deceleration reached over the commanded one."""
     grip = car.params.mu * GRAVITY
@@ -117,12 +190,13 @@ def draw_stops(
     left.legend(loc="lower left")
     right.plot(commands, sweep, "o-", ms=2.5, color=style.BLUE, label="simulated")
     style.limit_line(right, grip, "mu g")
-    right.axvline(expected, color="black", lw=0.9, ls=(0, (1, 1.5)), label="front locks, computed")
+    right.axvline(expected, color="black", lw=0.9, ls=(0, (1, 1.5)),
+                  label=f"{axle} locks, computed")
     right.axhline(
         sliding_deceleration(car), color=style.ORANGE, lw=0.9, ls=(0, (4, 2)),
         label="all sliding, computed",
     )
-    right.set_ylim(0.0, 9.0)
+    right.set_ylim(0.0, max(9.0, 1.05 * float(sweep.max())))
     style.label(right, "commanded deceleration [m/s²]", "MFDD [m/s²]", "Use of friction")
     right.legend(loc="lower right")
     return figure

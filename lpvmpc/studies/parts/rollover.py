@@ -12,7 +12,7 @@ import numpy as np
 from lpvmpc.car import magic_formula as mf
 from lpvmpc.car.params import VehicleParams
 from lpvmpc.interface import Command
-from lpvmpc.kit.findings import Limit
+from lpvmpc.kit.findings import Limit, Table
 from lpvmpc.picture import style
 from lpvmpc.studies.study import CarUnderTest, Series, StudyResult
 from lpvmpc.units import GRAVITY, Array
@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 
 RAMP = 0.5
 """Growth of the sideways pull [m/s2 per second]: slow against the roll mode of about 1.5 Hz."""
+
+
+SECOND_ORDER = 0.12
+"""Roll angle to which the closed form of wheel lift, of second order in it, is judged [rad]."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +53,8 @@ class Springs:
         return cls(stiffness[0], stiffness[1], sum(heights) / 2.0)
 
 
-def lift_thresholds(p: VehicleParams, springs: Springs) -> tuple[float, float]:
-    """Sideways pull at which the rear and the front inner wheel lift.
+def lift_thresholds(p: VehicleParams, springs: Springs) -> dict[str, tuple[float, float]]:
+    """Sideways pull at which the inner wheels lift, by axle, the first one first.
 
     With a in g: roll phi from the springs of the axle that lifts, K phi = (1 - a phi) W t/2; body
     raised to h' = h + m g a phi/K_heave; then balance of moments,
@@ -58,29 +62,34 @@ def lift_thresholds(p: VehicleParams, springs: Springs) -> tuple[float, float]:
     t/2 = h' (a + phi) when the last one lifts.
 
     Args:
-        p: Parameters of the car; its rear axle lifts first.
+        p: Parameters of the car.
         springs: Its springs.
 
     Returns:
-        Acceleration over gravity at the first and at the last lift [-].
+        Acceleration over gravity [-] and roll angle [rad] at the first and at the last lift, by
+        "front" and "rear".
     """
+    alone = {axle: _lift(p, springs, axle, last=False) for axle in ("front", "rear")}
+    first, last = sorted(alone, key=lambda axle: alone[axle][0])
+    return {first: alone[first], last: _lift(p, springs, last, last=True)}
+
+
+def _lift(p: VehicleParams, springs: Springs, axle: str, last: bool) -> tuple[float, float]:
+    """Pull and roll at which an axle lifts: the last one, or with the other one on the road."""
     weight, total = p.m * GRAVITY, p.K_phi + p.m * GRAVITY * p.h
     heave = 2.0 * (springs.front + springs.rear)
-    pulls = []
-    for axle in ("rear", "front"):
-        share = p.roll_share_front if axle == "front" else 1.0 - p.roll_share_front
-        track = p.track_f if axle == "front" else p.track_r
-        load = weight * (p.lr if axle == "front" else p.lf) / p.wheelbase
-        a, phi = track / (2.0 * p.h), 0.0
-        for _ in range(100):  # contracts by a factor of ten each time
-            phi = (1.0 - a * phi) * load * track / 2.0 / (share * total)
-            height = p.h + weight * a * phi / heave
-            if axle == "rear":
-                a = total * phi / (1.0 - a * phi) / (weight * height) - phi
-            else:
-                a = track / (2.0 * height) - phi
-        pulls.append(a)
-    return pulls[0], pulls[1]
+    share = p.roll_share_front if axle == "front" else 1.0 - p.roll_share_front
+    track = p.track_f if axle == "front" else p.track_r
+    load = weight * (p.lr if axle == "front" else p.lf) / p.wheelbase
+    a, phi = track / (2.0 * p.h), 0.0
+    for _ in range(100):  # contracts by a factor of ten each time
+        phi = (1.0 - a * phi) * load * track / 2.0 / (share * total)
+        height = p.h + weight * a * phi / heave
+        if last:
+            a = track / (2.0 * height) - phi
+        else:
+            a = total * phi / (1.0 - a * phi) / (weight * height) - phi
+    return a, phi
 
 
 def pull_over(car: CarUnderTest) -> Array:
@@ -116,14 +125,23 @@ def pull_over(car: CarUnderTest) -> Array:
 
 def judge(p: VehicleParams, springs: Springs, ramp: Array, result: StudyResult) -> None:
     """Compare the lifts of the wheels in `pull_over` with the closed form."""
-    pulls = [lift_pull(ramp[:, 0], ramp[:, 1 + wheel]) for wheel in (2, 0)]  # rl, fl
-    expected = lift_thresholds(p, springs)
     why = "second order in the roll angle of 0.1 rad; the third is 1 %"
-    for name, pull, form in zip(("rear wheel lifts at", "front wheel lifts, car tips, at"), pulls,
-                                expected, strict=True):
-        result.find(name, pull, "g", Limit.percent(form, 2.0), why)
+    names = ("{} wheel lifts at", "{} wheel lifts, car tips, at")
+    rows: list[tuple[object, ...]] = []
+    for name, (axle, (form, phi)) in zip(names, lift_thresholds(p, springs).items(), strict=True):
+        column = {"front": 1, "rear": 3}[axle]
+        pull = lift_pull(ramp[:, 0], ramp[:, column])
+        rows.append((axle, pull, form, math.degrees(phi)))
+        if phi <= SECOND_ORDER:
+            result.find(name.format(axle), pull, "g", Limit.percent(form, 2.0), why)
+    header = ("inner wheel", "lifts at g", "closed form", "roll deg, closed form")
+    caption = (
+        "Wheel lift; judged where the closed form rolls by less than "
+        f"{math.degrees(SECOND_ORDER):.2g} degrees"
+    )
+    result.tables.append(Table("lift", caption, header, rows))
     result.find(
-        "tips at, over the limit of grip", pulls[1] * GRAVITY / p.ay_limit, "", Limit.at_least(1.0),
+        "tips at, over the limit of grip", pull * GRAVITY / p.ay_limit, "", Limit.at_least(1.0),
         "a passenger car on a flat road slides before it tips",
     )
     columns = ("pull_g", "Fz_fl_N", "Fz_fr_N", "Fz_rl_N", "Fz_rr_N", "roll_rad", "moved_m")
@@ -168,7 +186,7 @@ def picture(p: VehicleParams, springs: Springs, ramp: Array) -> Figure:
     style.label(roll, "sideways pull [g]", "roll angle [deg]", "Roll")
     roll.set_ylim(0.0, 15.0)
     for axis in (load, roll):
-        for threshold in lift_thresholds(p, springs):
+        for threshold, _ in lift_thresholds(p, springs).values():
             axis.axvline(threshold, color=style.RED, lw=0.9, ls=(0, (4, 2)))
         axis.axvline(p.track_f / (2.0 * p.h), color=style.GREY, lw=0.9, ls=":")
         axis.set_xlim(0.0, 1.5)

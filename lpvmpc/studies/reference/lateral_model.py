@@ -6,23 +6,31 @@ import numpy as np
 import numpy.typing as npt
 
 from lpvmpc.car.params import VehicleParams
+from lpvmpc.car.tire import Tire
+from lpvmpc.studies.reference.circle_formulas import against, roll_resists
 from lpvmpc.units import Array
 
 YAW_RATE, LATERAL_ACCELERATION, ROLL = 0, 1, 2
 """Rows of C."""
 
 
-def lateral_model(p: VehicleParams, vx: float) -> tuple[Array, Array, Array]:
+def lateral_model(
+    p: VehicleParams, vx: float, tires: tuple[Tire, Tire] | None = None
+) -> tuple[Array, Array, Array]:
     """Lateral motion at constant speed, small angles.
 
-    m (vy' + vx r) = Fyf + Fyr,   Iz r' = (lf - t_f) Fyf - (lr + t_r) Fyr
+    m (vy' + vx r) = Fyf + Fyr,   Iz r' = (lf - t_f) Fyf - (lr + t_r) Fyr - G p
     Fy = C alpha,   alpha' = (vx / sigma) (slip - alpha) on each axle
     slip_f = delta - (vy + h p + lf r) / vx,   slip_r = -(vy + h p - lr r) / vx
-    Ixx p' = h (Fyf + Fyr) - C_phi p - K_phi phi,   phi' = p
+    Ixx p' = h (Fyf + Fyr) - C_phi p - K_phi phi + G r,   phi' = p,   G = 4 J_w vx / R_w
+
+    G is the spin of the wheels, whose axes turn with the car. With the tires, the axles are at
+    the loads that drag leaves, and roll makes the yaw moments of `circle_formulas.roll_resists`.
 
     Args:
         p: parameters.
         vx: speed [m/s].
+        tires: front and rear tires, if drag and rolling resistance count.
 
     Returns:
         A (6, 6), b (6,) and C (3, 6) of x' = A x + b delta, x = (vy, r, alpha_f, alpha_r, phi, p)
@@ -30,10 +38,15 @@ def lateral_model(p: VehicleParams, vx: float) -> tuple[Array, Array, Array]:
 
     Source: Pacejka, Tire and Vehicle Dynamics, section 1.3 (single track) and 7.2 (relaxation).
     """
-    front, rear = p.Cf / p.m, p.Cr / p.m
     A = np.zeros((6, 6))
+    if tires is not None:
+        drag = 0.5 * p.rho_air * p.CdA * vx**2
+        A[1, 4] = roll_resists(p, drag) / p.Iz
+        p = against(p, tires, drag)
+    front, rear, spin = p.Cf / p.m, p.Cr / p.m, 4.0 * p.J_w * vx / p.R_w
     A[0, [1, 2, 3]] = -vx, front, rear
     A[1, [2, 3]] = (p.lf - p.trail_f) * p.Cf / p.Iz, -(p.lr + p.trail_r) * p.Cr / p.Iz
+    A[1, 5], A[5, 1] = -spin / p.Iz, spin / p.Ixx
     A[2, [0, 1, 2, 5]] = np.array([-1.0, -p.lf, -vx, -p.h]) / p.sigma_f
     A[3, [0, 1, 3, 5]] = np.array([-1.0, p.lr, -vx, -p.h]) / p.sigma_r
     A[4, 5] = 1.0
