@@ -143,3 +143,16 @@ def test_noise_of_the_speed_is_not_followed():
     assert clean.speed(t)[0] == pytest.approx(vx, abs=1e-3)
     # unsmoothed differences would be 0.15 sqrt(2) / 0.03 = 7 m/s2 wrong
     assert noisy.speed(t)[1][20:-20] == pytest.approx(1.5 * np.cos(0.5 * t)[20:-20], abs=0.6)
+
+
+@pytest.mark.parametrize("place", ["folder", "", "file/below.csv"])
+def test_a_recording_that_cannot_be_written_is_told_before_it_is_made(tmp_path, monkeypatch, capsys,
+                                                                       place):
+    from lpvmpc.identify.evidence import multibody
+
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(multibody, "record", lambda *_, **__: 1 / 0)
+    assert multibody.main([place]) == 2
+    assert capsys.readouterr().err.startswith("Error: Cannot write")

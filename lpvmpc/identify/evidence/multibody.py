@@ -13,11 +13,14 @@ from __future__ import annotations
 
 import math
 import sys
+from pathlib import Path
 
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from lpvmpc.errors import LPVMPCError
 from lpvmpc.identify.recording import Recording
+from lpvmpc.kit import cli
 from lpvmpc.kit.files import write_text
 
 SAMPLE = 0.02
@@ -82,13 +85,18 @@ def main(words: list[str]) -> int:
     if len(words) != 1 or words[0].startswith("-"):
         print(__doc__)
         return 2 * (words not in (["-h"], ["--help"]))
-    one = record(0.065, seconds=40.0)
-    assert one.vy is not None
-    rows = np.column_stack([one.t, one.delta, one.vx, one.vy, one.r])
-    lines = ["t_s,delta_rad,vx_mps,vy_mps,r_radps"]
-    lines += [",".join(f"{value:.8g}" for value in row) for row in rows]
-    write_text(words[0], "\n".join(lines) + "\n")
-    return 0
+    try:
+        cli.result_file(Path(words[0]))
+        one = record(0.065, seconds=40.0)
+        assert one.vy is not None
+        rows = np.column_stack([one.t, one.delta, one.vx, one.vy, one.r])
+        lines = ["t_s,delta_rad,vx_mps,vy_mps,r_radps"]
+        lines += [",".join(f"{value:.8g}" for value in row) for row in rows]
+        write_text(words[0], "\n".join(lines) + "\n")
+    except LPVMPCError as error:
+        print("Error:", cli.one_line(str(error)), file=sys.stderr)
+        return cli.BAD_INPUT
+    return cli.DONE
 
 
 if __name__ == "__main__":
