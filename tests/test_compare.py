@@ -36,6 +36,16 @@ def test_two_controllers_are_driven_and_laid_side_by_side(run, road, monkeypatch
     assert {file.name for file in folder.iterdir()} == names
 
 
+def test_a_picture_that_fails_does_not_cost_the_runs(run, road, monkeypatch):
+    from lpvmpc.picture import comparison
+
+    monkeypatch.setattr(comparison, "save_all", lambda runs, folder: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        run("--controllers", "stanley", "pure-pursuit", "--scenario", road)
+    stored = Path("runs/bend-stanley-vs-pure-pursuit/comparison.json")
+    assert len(json.loads(stored.read_text())["runs"]) == 2
+
+
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [

@@ -104,9 +104,15 @@ def main(options: Options) -> int:
     given = {k: str(v) if isinstance(v, Path) else v for k, v in asdict(options).items()}
     weights = {name: log.weights for name, log in runs.items()}
     record = {"options": given, "weights": weights, "commit": commit(), "machine": machine()}
+    failed = None
     with replacing(out, RESULTS) as new:
-        comparison.save_all(runs, new)
         write_json(new / "comparison.json", {"runs": results, "record": record})
+        try:
+            comparison.save_all(runs, new)
+        except Exception as error:  # the pictures are given up, the measurements are not
+            failed = error
+    if failed is not None:
+        raise failed
     if options.json is not None:
         write_json(options.json, {"runs": results, "record": record})
     show(runs)
