@@ -62,10 +62,10 @@ the lane's edge; poses between control instants are interpolated. The highest en
 in steps of {STRIDE:g} m/s up to the first touch and by bisection to {CLOSE:g} m/s.
 
 **Bounds.** On a path of curvature `kappa` a car that does not slide sideways needs `v^2 kappa`.
-*Upper bound*: the flattest path that touches all cones, at the peak friction of Table 2. *Lower
+*Upper bound*: the flattest path that touches all cones, at the documented peak friction. *Lower
 limit* of part 2: three quarters of the steady limit on the path that is followed.
 
-**Valid** for this driver and for the friction of Table 2, 0.82: another driver may find a faster
+**Valid** for this driver and for the documented friction: another driver may find a faster
 line.
 """
 
@@ -121,7 +121,7 @@ def run(car: CarUnderTest) -> StudyResult:
     peak = max(one.ay for passages in drives.values() for one in passages if one.clean)
     result.find(
         "peak lateral acceleration", peak, "m/s2", Limit.at_most(p.mu * GRAVITY),
-        "peak friction of Table 2 at nominal load, which load transfer only lowers",
+        "documented peak friction at nominal load, which load transfer only lowers",
     )
     result.tables.append(_table(best))
     for (name, stiffness), passages in drives.items():

@@ -33,7 +33,7 @@ that the simulation does what its equations say, and that these say what vehicle
   former limits or below, when their closed forms had been given terms that the first comparison
   lacked (drag, rolling resistance, the wheels' spin), by which other cars than the packaged one
   showed them. The overshoot's limit was 4.5 to 7.5 % until it was set to its target, 5 to 7 %,
-  which the car misses at 15 m/s.
+  which the packaged car misses at 15 m/s.
 """
 
 PACKAGED = """\

@@ -34,6 +34,7 @@ METHOD = """\
 
 TABLE_2 = {"m": 1575.0, "Iz": 2875.0, "lf": 1.2, "lr": 1.6}
 """Mass [kg], yaw inertia [kg m2] and distances [m] in the paper's Table 2."""
+SOURCE, OWN = "Table 2 of the paper", "the car's own file"
 GRADE = 0.1
 """Slope of the road [-]."""
 BRAKE = Command(0.0, -3.0)
@@ -158,12 +159,12 @@ def _inertia(result: StudyResult, car: CarUnderTest) -> None:
     _, rate = floating(car, 0.0, torque)
     result.find(
         "mass, by a push", force * time / speed, "kg", Limit.percent(documented(car)["m"], 0.01),
-        "Table 2 of the paper; momentum is exact",
+        f"{SOURCE if current() is None else OWN}; momentum is exact",
     )
     result.find(
         "yaw inertia, by a torque", torque * time / rate, "kg m2",
         Limit.percent(documented(car)["Iz"], 0.1),
-        "Table 2 of the paper; the springs' rebound in the air is small",
+        f"{SOURCE if current() is None else OWN}; the springs' rebound in the air is small",
     )
 
 
@@ -178,7 +179,7 @@ def _loads(result: StudyResult, car: CarUnderTest) -> None:
     expected = np.array([front, front, rear, rear])
     result.find(
         "wheel loads on the flat, worst error", 100.0 * relative_error(Fz, expected), "%",
-        Limit.at_most(0.1), "m g lr / 2L and m g lf / 2L with Table 2",
+        Limit.at_most(0.1), "m g lr / 2L and m g lf / 2L",
     )
     result.find(
         "sum of the wheel loads over weight", Fz.sum() / weight, "", Limit.near(1.0, 1e-3),

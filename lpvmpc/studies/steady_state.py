@@ -52,7 +52,7 @@ until nothing changes any more; nothing is averaged and no transient is left.
   alone, m ay lr / L over delta - (vy + lf r) / vx, and so behind.
 - Handling diagram: ay over the difference of front and rear slip angle, delta - L r / vx.
 - Where they are valid: the linear formulas below some 0.2 g; the limit on a level road of the
-  friction in Table 2.
+  documented friction.
 """
 
 SMALL = (0.25, 0.5, 0.75, 1.0)
