@@ -64,6 +64,8 @@ BAD = {
     "backwards": (broken("vx_mps", lambda v: -v), "backwards"),
     "wrong sign": (broken("delta_rad", lambda d: -d), "opposite signs"),
     "straight": (broken("r_radps", lambda r: 0.0 * r), "straight on"),
+    "wheel held": (broken("delta_rad", lambda d: 0.0 * d), "deviation of delta_rad is 0 rad"),
+    "hand wheel, far": (broken("delta_rad", lambda d: 40.0 * d), "not the hand wheel's"),
 }
 
 

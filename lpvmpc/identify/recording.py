@@ -316,7 +316,7 @@ def _check_size(path: Path, name: str, values: Array, largest: float, unit: str)
     if name in DEGREES and top <= DEGREES[name]:
         hint = f"; are these degrees{'' if name == 'delta_rad' else ' per second'}? 1 degree is "
         hint += f"{math.radians(1.0):.5f} rad"
-        if name == "delta_rad" and top > math.degrees(largest):
+        if name == "delta_rad":
             hint += ", and the road wheel's angle is needed, not the hand wheel's"
     elif name == "delta_rad":
         hint = "; is it the hand wheel's angle? The road wheel's is needed"
@@ -353,8 +353,9 @@ def _check_steering(path: Path, columns: dict[str, Array]) -> None:
     steering, yaw = delta[moving] * vx[moving], r[moving]
     if steering.std() < 1e-3 or yaw.std() < 1e-3:
         raise DataError(
-            f"Recording {path} drives straight on (the standard deviation of r_radps is "
-            f"{yaw.std():.2g} rad/s), but only bends say something about a car."
+            f"Recording {path} drives straight on (the standard deviation of delta_rad is "
+            f"{delta[moving].std():.2g} rad, of r_radps {yaw.std():.2g} rad/s), but only bends say "
+            "something about a car."
         )
     steering, yaw = steering - steering.mean(), yaw - yaw.mean()
     alike = float(steering @ yaw / math.sqrt((steering @ steering) * (yaw @ yaw)))
