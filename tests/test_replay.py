@@ -13,6 +13,7 @@ from lpvmpc.identify.conduct import conduct
 from lpvmpc.identify.fit import fit, visible
 from lpvmpc.identify.follow import Steering, replay
 from lpvmpc.identify.predict import plant
+from lpvmpc.identify.problem import Problem
 from lpvmpc.identify.recording import Recording, read_recording
 from lpvmpc.identify.scores import gain_and_lag, score
 from lpvmpc.interface import Command
@@ -240,3 +241,12 @@ def test_bad_options_are_one_line(words, message, capsys, tmp_path, monkeypatch)
     assert cli.run(Options, main, words) == 2
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1
+
+
+def test_an_interval_is_wider_where_the_recording_is_short(packaged):
+    """Kiefer and Vogelsang (2005): 1.96 for a recording without end, 2.26 where b is a tenth."""
+    problem = Problem(packaged, ["Cf"], [drive(packaged.model(), seconds=3.0)], plant(), 0.02)
+    problem.times = [0.01]
+    for samples, width in ((10_000_000, 1.960), (1000, 2.260), (200, 2.720)):
+        problem.samples = [samples]
+        assert problem.certain() == pytest.approx(width, abs=2e-3)

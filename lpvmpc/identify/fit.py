@@ -24,7 +24,7 @@ import numpy as np
 from lpvmpc.identify.candidate import PARAMETERS, Candidate
 from lpvmpc.identify.follow import Steering
 from lpvmpc.identify.predict import Predictor
-from lpvmpc.identify.problem import Problem
+from lpvmpc.identify.problem import CRITICAL, Problem
 from lpvmpc.identify.recording import Recording
 from lpvmpc.units import Array
 
@@ -40,8 +40,6 @@ NEAR = 0.7
 """Share of the lateral limit from which on a recording shows friction."""
 MOVED = 0.1
 """A change below this, of a standard deviation, is none."""
-CERTAIN = 1.96
-"""Standard deviations of a 95 % interval."""
 WIDE = 0.3
 """A 95 % interval whose half width is above this, of the parameter's scale or its value if that is
 larger, says little: the parameter is not identifiable from these data."""
@@ -143,7 +141,7 @@ def fit(
     used = sum(problem.evaluations for problem in tried)
     told = _timing(best, x)
     used += LATENCY not in names
-    covariance = best.covariance()
+    covariance, certain = best.covariance(), best.certain()
     deviation = np.sqrt(np.diag(covariance))
     correlations = covariance / np.maximum(np.outer(deviation, deviation), 1e-300)
     scale = best.scale
@@ -151,12 +149,12 @@ def fit(
     at_bound = (x < best.low + near) | (x > best.high - near)
     power = float(best.errors @ best.errors)
     unseen = (best.jacobian**2).sum(axis=0) < 1e-8 * power
-    wide = unseen | (CERTAIN * deviation > WIDE * np.maximum(np.abs(x), 1.0))
+    wide = unseen | (certain * deviation > WIDE * np.maximum(np.abs(x), 1.0))
     parameters = tuple(
         Fitted(
             name=name, value=float(x[i] * scale[i]), start=start.value(name),
-            low95=float((x[i] - CERTAIN * deviation[i]) * scale[i]),
-            high95=float((x[i] + CERTAIN * deviation[i]) * scale[i]),
+            low95=float((x[i] - certain * deviation[i]) * scale[i]),
+            high95=float((x[i] + certain * deviation[i]) * scale[i]),
             deviation=float(deviation[i] * scale[i]), at_bound=bool(at_bound[i]),
             identifiable=not bool(wide[i]),
         )
@@ -222,7 +220,8 @@ def _timing(problem: Problem, x: Array) -> list[str]:
     at = np.append(x, wider.x0[-1])
     wider.at(at)
     time = float(wider.step(at)[-1] * wider.scale[-1])
-    sure = CERTAIN * float(np.sqrt(wider.covariance()[-1, -1]) * wider.scale[-1])
+    # a hint, not an interval: it may be wrong more often than one in twenty
+    sure = CRITICAL[0] * float(np.sqrt(wider.covariance()[-1, -1]) * wider.scale[-1])
     if abs(time) < max(OFF, sure):
         return []
     return [

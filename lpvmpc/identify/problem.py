@@ -3,7 +3,9 @@
 The differences for the Jacobian are driven as one batch with the candidate itself. Residuals of a
 model that is not the car are alike from sample to sample, so that their number says too much: the
 covariance is the sandwich (J'J)^-1 J' S J (J'J)^-1 with S of Newey and West (1987), and never below
-the one of white residuals.
+the one of white residuals. Such an S comes from the residuals themselves and is uncertain too, the
+more so the shorter the recording: the 95 % intervals are as many standard deviations wide as Kiefer
+and Vogelsang (2005, table 1) give for it.
 
 Each parameter is pulled weakly to where it began, as if that were known to `Parameter.spread`. The
 pull is weighed by the level of the residuals (`Problem.level`): where a recording says something,
@@ -30,6 +32,9 @@ STEP = 1e-3
 """Step of the differences, of a parameter's scale."""
 MEMORY = 1.0
 """Time over which residuals may be alike [s], in the covariance."""
+CRITICAL = (1.9600, 2.9694, 0.4160, -0.5324)
+"""Standard deviations of a 95 % interval by the share b of a recording over which residuals may be
+alike: a cubic in b, for the weights of Newey and West (Kiefer and Vogelsang 2005, table 1)."""
 SPUN = 10.0
 """Residual of a car that does not follow, in standard deviations."""
 
@@ -159,13 +164,23 @@ class Problem:
             part = self.errors[first : first + count]
             first += count
             power = float(part @ part)
-            lags = min(round(MEMORY / step), count // 4)
+            lags = self.lags(count, step)
             alike = sum(
                 (1.0 - lag / (lags + 1.0)) * float(part[lag:] @ part[:-lag])
                 for lag in range(1, lags + 1)
             )
             total += max(power + 2.0 * alike, power)
         return float(np.sqrt(total / first))
+
+    def lags(self, count: int, step: float) -> int:
+        """Number of samples over which the residuals of a channel may be alike."""
+        return min(round(MEMORY / step), count // 4)
+
+    def certain(self) -> float:
+        """Half the width of a 95 % interval, in standard deviations of `covariance` [-]."""
+        alike = sum(map(self.lags, self.samples, self.times))
+        share = alike / max(sum(self.samples), 1)
+        return float(np.polynomial.Polynomial(CRITICAL)(share))
 
     def covariance(self) -> Array:
         """Of the scaled estimates by these data alone, without the pull, shape (P, P)."""
@@ -180,7 +195,7 @@ class Problem:
             first += count
             moments = J[part] * residuals[part, None]
             meat += moments.T @ moments
-            lags = min(round(MEMORY / step), count // 4)
+            lags = self.lags(count, step)
             for lag in range(1, lags + 1):
                 both = moments[lag:].T @ moments[:-lag]
                 meat += (1.0 - lag / (lags + 1.0)) * (both + both.T)
