@@ -123,12 +123,13 @@ def measure(rounds: int, periods: int) -> tuple[list[Row], float]:
             cpu_one = wall_one = cpu_bare = cpu_afloat = 0.0
             for k in range(0, periods, BLOCK):
                 block = actions[k : k + BLOCK]
+                pace = len(block), plant.nstep
                 cpu, wall = spent(lambda a=block: [one.step(x) for x in a])  # type: ignore[misc]
                 cpu_one, wall_one = cpu_one + cpu, wall_one + wall
-                cpu_bare += spent(partial(_all, plant.model, datas, len(block)))[0]
+                cpu_bare += spent(partial(_all, plant.model, datas, *pace))[0]
                 callbacks.uninstall()
                 try:
-                    cpu_afloat += spent(partial(_all, afloat, floating, len(block)))[0]
+                    cpu_afloat += spent(partial(_all, afloat, floating, *pace))[0]
                 finally:
                     callbacks.install()
             _, wall_two = spent(lambda a=actions: [two.step(x) for x in a])  # type: ignore[misc]
@@ -200,10 +201,10 @@ def spent(call: Callable[[], Any]) -> tuple[float, float]:
     return time.process_time() - cpu, time.perf_counter() - wall
 
 
-def _all(model: mujoco.MjModel, datas: list[mujoco.MjData], periods: int) -> None:
+def _all(model: mujoco.MjModel, datas: list[mujoco.MjData], periods: int, nstep: int) -> None:
     for _ in range(periods):
         for data in datas:
-            mujoco.mj_step(model, data, nstep=33)
+            mujoco.mj_step(model, data, nstep=nstep)
 
 
 def _afloat(plant: Plant) -> tuple[mujoco.MjModel, list[mujoco.MjData]]:

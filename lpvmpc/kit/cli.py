@@ -33,12 +33,6 @@ LONGEST = 1000
 """Most characters of a message: a name on the command line may have any length."""
 WRITTEN = ("json", "save_push", "out")
 """Options that name a file of results."""
-MPL = (
-    "agg", "cairo", "pdf", "pgf", "ps", "svg", "template", "macosx", "nbagg", "notebook", "webagg",
-    *(kit + canvas for kit in ("gtk3", "gtk4", "qt", "qt5", "tk", "wx")
-      for canvas in ("agg", "cairo")), "wx",
-)
-"""Backends of matplotlib, none of which is used here."""
 NO_CACHE = "cannot cache function"
 """How numba begins to say that none of the folders for compiled code can be written."""
 BACKENDS = {
@@ -246,7 +240,7 @@ def check_environment() -> None:
     of threads when the first loop is compiled. Neither matters here.
     """
     for name, fine, what in (
-        ("MPLBACKEND", lambda v: v.lower() in MPL or v.startswith("module://"), "a known backend"),
+        ("MPLBACKEND", _is_backend, "a known backend"),
         ("NUMBA_NUM_THREADS", lambda v: v.isascii() and v.isdigit() and int(v[-9:]) > 0,
          "a whole number above 0"),
     ):
@@ -255,6 +249,17 @@ def check_environment() -> None:
             print(f"Warning: {name} is {one_line(value)}, but must be {what}; it is ignored.",
                   file=sys.stderr)
             del os.environ[name]
+
+
+def _is_backend(name: str) -> bool:
+    """Whether matplotlib knows a backend; it is imported for that, where one is set."""
+    del os.environ["MPLBACKEND"]  # or the import itself would fail
+    try:
+        from matplotlib.backends import backend_registry
+
+        return bool(backend_registry.is_valid_backend(name))
+    finally:
+        os.environ["MPLBACKEND"] = name
 
 
 def writable_folder(folder: Path) -> Path:

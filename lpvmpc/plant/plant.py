@@ -33,7 +33,7 @@ from lpvmpc.plant.rollout import (
     friction_scale,
     rollout,
 )
-from lpvmpc.plant.trim import INTEGRATION_STATE, gravity, place, settled
+from lpvmpc.plant.trim import INTEGRATION_STATE, Steady, gravity, place, settled
 from lpvmpc.units import Array
 
 
@@ -239,10 +239,8 @@ class Plant:
         if trim:
             c, s = math.cos(psi), math.sin(psi)
             relative = c * wind[0] + s * wind[1], c * wind[1] - s * wind[0]
-            settled(
-                self.model, d, self._actual, self._layout, vx, kappa, relative,
-                self._tilt, course=course,
-            )
+            wanted = Steady(vx, kappa, relative, self._tilt, course)
+            settled(self.model, d, self._actual, self._layout, wanted)
         self._psi = place(d, self._layout, x, y, psi, course)
         d.qpos[list(SPIN_QPOS)] = 0.0  # where the spokes are does not matter
         d.ctrl[WIND_X], d.ctrl[WIND_Y] = wind
@@ -388,7 +386,8 @@ class Plant:
         if self._actuation is not None:
             raise LPVMPCError(
                 "Plant.rollout gives commands straight to servo and drive, but this plant has a "
-                "latency or deviations between them; step it instead.")
+                "latency or deviations between them; step it instead."
+            )
         return rollout(
             self.model, self.nstep, self._layout, snapshots, commands, wind, friction, threads
         )

@@ -2,6 +2,7 @@
 
 import math
 from collections import OrderedDict
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -33,17 +34,27 @@ _kept: OrderedDict[tuple[object, ...], Array] = OrderedDict()
 """Steady states of this process by all that decides them, the last used last."""
 
 
+class Steady(NamedTuple):
+    """A steady state that is asked for."""
+
+    vx: float
+    """Longitudinal speed [m/s]."""
+    kappa: float
+    """Curvature of the path of the centre of mass [1/m]."""
+    wind: tuple[float, float]
+    """Velocity of the air [m/s] along and to the left of the car's axis."""
+    tilt: tuple[float, float]
+    """Grade and bank of the road in the same direction; gravity turns with the car."""
+    course: bool
+    """Whether `wind` is along and to the left of the car's course instead."""
+
+
 def settled(
     model: mujoco.MjModel,
     data: mujoco.MjData,
     car: VehicleParams,
     layout: tuple[Array, Array],
-    vx: float,
-    kappa: float,
-    wind: tuple[float, float],
-    tilt: tuple[float, float] = (0.0, 0.0),
-    *,
-    course: bool,
+    wanted: Steady,
 ) -> None:
     """What `settle` does, to the bit; the second time at once.
 
@@ -55,12 +66,12 @@ def settled(
     size = mujoco.mj_stateSize(model, INTEGRATION_STATE)
     start, end = np.empty(size), np.empty(size)
     mujoco.mj_getState(model, data, start, INTEGRATION_STATE)
-    key = model_sha256(model), start.tobytes(), vx, kappa, wind, tilt, course
+    key = model_sha256(model), start.tobytes(), wanted
     if key in _kept:
         _kept.move_to_end(key)
         mujoco.mj_setState(model, data, _kept[key], INTEGRATION_STATE)
         return
-    settle(model, data, car, layout, vx, kappa, wind, tilt, course=course)
+    settle(model, data, car, layout, wanted)
     mujoco.mj_getState(model, data, end, INTEGRATION_STATE)
     _kept[key] = end
     while len(_kept) > MOST_KEPT:
@@ -72,14 +83,9 @@ def settle(
     data: mujoco.MjData,
     car: VehicleParams,
     layout: tuple[Array, Array],
-    vx: float,
-    kappa: float,
-    wind: tuple[float, float],
-    tilt: tuple[float, float] = (0.0, 0.0),
-    *,
-    course: bool,
+    wanted: Steady,
 ) -> None:
-    """Simulate until the car drives steadily at vx on a circle of curvature kappa.
+    """Simulate until the car drives steadily at a speed on a circle of a curvature.
 
     Two integral controllers act on the commands, one on the yaw rate (its wanted value is
     kappa |V|, since the sideslip angle is constant), one on the speed. Suspension, tires, servo,
@@ -91,15 +97,12 @@ def settle(
             the commands that hold it.
         car: parameters.
         layout: mass shares and centre of mass, from motion.mass_layout.
-        vx: longitudinal speed [m/s].
-        kappa: curvature of the path of the centre of mass [1/m].
-        wind: velocity of the air [m/s] along and to the left of the car's axis.
-        tilt: grade and bank of the road in the same direction; gravity turns with the car.
-        course: whether `wind` is along and to the left of the car's course instead.
+        wanted: the state.
 
     Raises:
         OptionError: the car cannot hold such a state.
     """
+    vx, kappa, wind, tilt, course = wanted
     nstep = max(round(PERIOD / model.opt.timestep), 1)
     dt = nstep * model.opt.timestep
     L, K = car.wheelbase, car.m / car.wheelbase * (car.lr / car.Cf - car.lf / car.Cr)
