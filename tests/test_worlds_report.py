@@ -403,3 +403,12 @@ def test_the_report_says_where_each_controllers_weights_come_from():
     assert said.startswith("Weights were set by the search over worlds, rounded, but for ")
     assert said.endswith("for `lpv-mpc`; tuned in ideal, rtk, fleet for `stanley`; set by hand for "
                          "`absent`.")
+
+
+def test_a_lost_car_is_told_before_anything_else():
+    def lose(cell):
+        return math.inf if cell.controller == "lpv-mpc" and cell.seed == FIRST_SEED else 5.0
+
+    first, second = sentences(found_with(lose))[:2]
+    assert first.startswith("`lpv-mpc` loses the car in") and "95th percentile" in second
+    assert "95th percentile" in sentences(found_with(lambda cell: 5.0))[0]
