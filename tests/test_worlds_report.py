@@ -252,10 +252,10 @@ def test_a_lost_run_makes_a_rival_better_and_is_listed():
 
     found = found_with(mm)
     told = sentences(found)
-    assert "in `rtk` on paper (lpv-mpc lost)" in told[0] and "`stanley` 5.0 mm" in told[0]
-    assert told[2].startswith("A rival completes more runs than `lpv-mpc`: in `rtk` on paper")
-    assert "(lpv-mpc 2 of 3)" in told[2] and "`stanley` 3" in told[2]
-    assert "`rtk` on paper 1 of 3" in told[3]
+    assert "`rtk` on paper 1 of 3" in told[0]
+    assert "in `rtk` on paper (lpv-mpc lost)" in told[1] and "`stanley` 5.0 mm" in told[1]
+    assert told[3].startswith("A rival completes more runs than `lpv-mpc`: in `rtk` on paper")
+    assert "(lpv-mpc 2 of 3)" in told[3] and "`stanley` 3" in told[3]
     text = worlds_report.report(found, jobs=1, pictures=["worlds.png"])
     assert r"| off the path: \|ey\| > 5 m |" in text and str(FIRST_SEED + 1) in text
     assert "2 of 3" in text and "21 to 94 %" in text
@@ -403,3 +403,12 @@ def test_the_report_says_where_each_controllers_weights_come_from():
     assert said.startswith("Weights were set by the search over worlds, rounded, but for ")
     assert said.endswith("for `lpv-mpc`; tuned in ideal, rtk, fleet for `stanley`; set by hand for "
                          "`absent`.")
+
+
+def test_a_lost_car_is_told_before_anything_else():
+    def lose(cell):
+        return math.inf if cell.controller == "lpv-mpc" and cell.seed == FIRST_SEED else 5.0
+
+    first, second = sentences(found_with(lose))[:2]
+    assert first.startswith("`lpv-mpc` loses the car in") and "95th percentile" in second
+    assert "95th percentile" in sentences(found_with(lambda cell: 5.0))[0]

@@ -54,9 +54,11 @@ class Found:
 
 def sentences(found: Found) -> list[str]:
     """What the numbers say, one statement each; what speaks against `lpv-mpc` comes first."""
+    runs = [lambda: rivals(found.worlds), lambda: completion(found.worlds)]
+    if any(s.completed < s.n for s in found.worlds if s.cell.controller == OURS):
+        runs.reverse()  # a lost car is worse than a rival's smaller error
     told: list[Callable[[], Iterator[str]]] = [
-        lambda: rivals(found.worlds),
-        lambda: completion(found.worlds),
+        *runs,
         lambda: estimator(found.worlds),
         lambda: deviations(found.rows.get("deviations", ())),
         lambda: margins_said(found.margins or ()),
